@@ -1,7 +1,7 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   the gate: smoke tests, then all in simulated time         make bench  timing against cyclictest
 # make test-live   all real processes in real time, studies
-# make test-machine   services in a systemd of their own, the guest kernel's bus faults, a minute of everything
+# make test-machine   before a release: long runs, services in a systemd of their own, the guest kernel's bus faults
 # make deb    Debian packages, installable offline     make docs   the documentation site, which `rigctl page` serves
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 # make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
@@ -10,6 +10,7 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 SOAK ?= 1h
+REAL_TIME := tests/guest tests/live tests/loop/test_pytest_plugin.py
 
 .PHONY: demo test test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb docs setup system
 .DELETE_ON_ERROR:
@@ -21,16 +22,20 @@ demo: $(STAMP)
 test: $(STAMP) system
 	@mkdir -p results; export SMOKE_SUMMARY=$(CURDIR)/results/smoke.txt; rm -f $$SMOKE_SUMMARY; smoke=0; tests=0; \
 	$(PYTHON) -m pytest tests/guest tests/live -m smoke || smoke=$$?; \
-	$(PYTHON) -m pytest -m "not real_time and not study" --numprocesses auto --dist worksteal || tests=$$?; \
+	$(PYTHON) -m pytest -m "not real_time and not study and not long" --numprocesses auto --dist worksteal || tests=$$?; \
 	exit $$((smoke > tests ? smoke : tests))
 
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not smoke" \
+	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not smoke and not long" \
 	    --numprocesses auto --dist loadfile --no-loadscope-reorder
-	$(PYTHON) -m pytest -m "real_time and not smoke and not machine"
+	$(PYTHON) -m pytest $(REAL_TIME) -m "real_time and not alone and not smoke and not machine and not long" \
+	    --numprocesses auto --dist loadfile --no-loadscope-reorder
+	$(PYTHON) -m pytest $(REAL_TIME) -m "alone and not smoke and not machine and not long"
 
 test-machine: $(STAMP) system
-	$(PYTHON) -m pytest -m machine
+	$(PYTHON) -m pytest -m "long and not real_time" --numprocesses auto
+	$(PYTHON) -m pytest $(REAL_TIME) -m "long and real_time"
+	$(PYTHON) -m pytest $(REAL_TIME) -m machine
 
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .

@@ -10,6 +10,7 @@ from enum import Enum
 from typing import Annotated
 
 from rigctl.config import extras
+from rigctl.config.one_line import complaint
 from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
 
@@ -22,8 +23,10 @@ with extras.refused(PROGRAM):
 
     from hil.scenario.errors import ScenarioError
     from hil.serve import ServeError, serve
-    from rigctl.cli import descriptors, standard_output
+    from rigctl.cli import descriptors, json_file
+    from rigctl.cli.json_file import JsonFile
     from rigctl.config import rig_file
+    from rigctl.ipc import standard_output
 
 _INTERRUPTED = 130
 """Exit code that typer gives Ctrl-C."""
@@ -49,6 +52,7 @@ def _serve(
     truth: Annotated[pathlib.Path | None, typer.Option(help="write the plant's true state here, 1 kHz")] = None,
 ) -> None:
     """Serve the rig of FILE on its CAN bus until interrupted."""
+    standard_output.never_wait()
     from hil.faults.served import taking_faults
 
     serve(file, truth, _announce, taking_faults)
@@ -57,7 +61,7 @@ def _serve(
 @app.command("scenario")
 def _scenario(
     file: Annotated[pathlib.Path, typer.Argument(help="scenario file, see docs/scenario.md")],
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here, - to print them")] = None,
+    json: JsonFile = None,
     plot: Annotated[pathlib.Path | None, typer.Option(help="draw the run here: .png, .svg or .pdf")] = None,
 ) -> None:
     """Play the scenario of FILE through the real loop in simulated time, or with the cylinder locked."""
@@ -69,7 +73,7 @@ def _scenario(
 @app.command("paper")
 def _paper(
     file: PaperOr = None,
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
+    json: JsonFile = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for a picture per figure")] = None,
 ) -> None:
     """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
@@ -86,15 +90,21 @@ def _compare(
         list[str] | None, typer.Option(help="laws to run, separated by commas; may be repeated; default all")
     ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="6 of the 18 scenarios: 2 minutes on 2 cores, not 9")] = False,
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+    json: JsonFile = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the pictures")] = None,
     equal_limits: Annotated[
         bool, typer.Option("--equal-limits", help="every law tuned by one optimiser under the same Ms and noise")
     ] = False,
+    bound: Annotated[
+        bool, typer.Option("--bound", help="our law against the least error that any linear law reaches")
+    ] = False,
+    designs: Annotated[
+        int | None, typer.Option(min=1, help="of the studies of tuned laws: designs per parameter and start")
+    ] = None,
     random: Annotated[int, typer.Option(min=0, help="this many random rigs instead, identified and tuned for")] = 0,
     seed: Annotated[int, typer.Option(min=0, max=2**31, help="of the random rigs")] = 1,
     rows: Annotated[
-        pathlib.Path | None, typer.Option(help="with the two above: keep each result here, and go on from them")
+        pathlib.Path | None, typer.Option(help="with the studies of tuned laws: keep each result here, and go on")
     ] = None,
     front: Annotated[pathlib.Path | None, typer.Option(help="draw error against Ms instead: png, svg, pdf")] = None,
 ) -> None:
@@ -107,8 +117,10 @@ def _compare(
     from hil.cli.compare import run
 
     file = file or rig_file.shipped(PAPER)
-    if equal_limits or random or front is not None:
-        asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick)
+    if equal_limits or random or bound or front is not None:
+        asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick, designs=designs)
+        if bound:
+            raise typer.Exit(compare_tuned.run_bound(file, asked))
         if front is not None:
             raise typer.Exit(compare_tuned.run_front(file, front, asked))
         if random:
@@ -121,7 +133,7 @@ def _compare(
 def _cell(
     file: PaperOr = None,
     cells: Annotated[int, typer.Option(min=1, max=10_000, help="number of cells drawn")] = 200,
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+    json: JsonFile = None,
 ) -> None:
     """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
     from hil.cli.cell import run
@@ -133,13 +145,26 @@ def _cell(
 def _moves(
     file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a variant to play; may be repeated; default all")] = None,
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the figures here")] = None,
+    json: JsonFile = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the picture")] = None,
 ) -> None:
     """Repeat one move with learning, and with what was tried against friction at the reversal (docs/reversal.md)."""
     from hil.cli.moves import run
 
     raise typer.Exit(run(file or rig_file.shipped(PAPER), only or [], json, plots))
+
+
+@app.command("roll-back")
+def _roll_back(
+    file: PaperOr = None,
+    draw: Annotated[int, typer.Option(min=1, max=1000, help="errors of the preload drawn for each load")] = 1,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, help="of those errors")] = 1,
+    json: JsonFile = None,
+) -> None:
+    """Let the motor take loads of 50 to 350 N from the brake, without a preload and with one of a drawn error."""
+    from hil.cli.roll_back import run
+
+    raise typer.Exit(run(file or rig_file.shipped(PAPER), draw, seed, json))
 
 
 @app.command("fmu")
@@ -173,6 +198,11 @@ def _new(
         float | None,
         typer.Option(metavar="MM", help="highest stroke commanded; what spring and target need if not given"),
     ] = None,
+    rate: Annotated[int | None, typer.Option(metavar="HZ", help="of the loop; the paper's rig has 1000")] = None,
+    bit_rate: Annotated[int | None, typer.Option(metavar="BIT_S", help="of the bus; the paper's has 1000000")] = None,
+    cell_node: Annotated[int | None, typer.Option(metavar="ID", help="node of the tension amplifier; else 2")] = None,
+    inclinometer_node: Annotated[int | None, typer.Option(metavar="ID", help="node of it; else 3")] = None,
+    drive_node: Annotated[int | None, typer.Option(metavar="ID", help="node of the cylinder's drive; else 4")] = None,
     out: Annotated[pathlib.Path | None, typer.Option(metavar="FOLDER", help="write here; else to ./NAME")] = None,
     defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing on a terminal")] = False,
 ) -> None:
@@ -187,7 +217,11 @@ def _new(
         decisions.PAYLOAD: payload, decisions.SPRING: spring, decisions.TARGET: target, decisions.SPEED: speed,
         decisions.STROKE: stroke,
     }  # fmt: skip
-    raise typer.Exit(run(name, given, out, defaults=defaults))
+    bus = {
+        "loop.rate_hz": rate, "can.bitrate_bit_s": bit_rate, "tension_cell.node": cell_node,
+        "inclinometer.node": inclinometer_node, "cylinder.node": drive_node,
+    }  # fmt: skip
+    raise typer.Exit(run(name, given, out, bus=bus, defaults=defaults))
 
 
 @app.command("faults")
@@ -195,15 +229,34 @@ def _faults(
     file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a fault to play; may be repeated; default all")] = None,
     mode: Annotated[list[str] | None, typer.Option(help="a mode to play in; may be repeated; default all")] = None,
-    json: Annotated[pathlib.Path | None, typer.Option(help="write the rows here")] = None,
+    json: JsonFile = None,
     list_: Annotated[bool, typer.Option("--list", help="print the catalogue, play nothing")] = False,
     kills: Annotated[int, typer.Option(min=0, help="kill or stop processes of the daemon this often instead")] = 0,
     gateway_kills: Annotated[int, typer.Option(min=0, help="kill the gateway this often instead")] = 0,
+    draw: Annotated[int, typer.Option(min=0, metavar="N", help="play N drawn pairs of faults instead")] = 0,
+    seed: Annotated[int, typer.Option(help="of the draws; --only K plays draw K alone")] = 1,
+    rows: Annotated[
+        pathlib.Path | None, typer.Option(help="keep draws here, go on with those of a stopped run")
+    ] = None,
+    replay: Annotated[pathlib.Path | None, typer.Option(help="play the draw of this file instead")] = None,
+    diagnosis: Annotated[
+        pathlib.Path | None,
+        typer.Option(metavar="FOLDER", help="name each row's culprit; windows of played rows are kept here"),
+    ] = None,
 ) -> None:
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
+    from hil.cli import draw as draws
     from hil.cli import faults as command
 
     file = file or rig_file.shipped(PAPER)
+    if replay is not None:
+        raise typer.Exit(draws.replay(file, replay, json))
+    if diagnosis is not None and draw:
+        raise typer.Exit(draws.run_named(file, draw, seed, json))
+    if diagnosis is not None:
+        raise typer.Exit(command.run_diagnosis(file, diagnosis, only or [], mode or [], json))
+    if draw:
+        raise typer.Exit(draws.run(file, draw, seed, only or [], json, rows))
     if list_:
         command.show_list()
     elif kills:
@@ -253,26 +306,29 @@ def main() -> int:
 
 def _run() -> int:
     try:
-        code = int(app(standalone_mode=False) or 0)
+        code = int(app(args=json_file.with_files(sys.argv[1:]), standalone_mode=False) or 0)
         if code == _INTERRUPTED:
             raise KeyboardInterrupt
         return code
     except (ServeError, ScenarioError) as error:
-        sys.stderr.write(f"{error}\n")
+        sys.stderr.write(complaint(f"{error}") + "\n")
         return error.exit_code
     except (output_file.OutputError, rig_file.ConfigError) as error:
-        sys.stderr.write(f"{error}\n")
+        sys.stderr.write(complaint(f"{error}") + "\n")
         return 2
     except TyperException as error:
         text = " ".join(error.format_message().split()).rstrip(".")  # names the option, unlike str()
-        sys.stderr.write(f"hil: {text} (see python -m hil --help)\n")
+        context = getattr(error, "ctx", None)
+        command = context.info_name if context is not None and context.parent is not None else ""
+        own = " ".join(filter(None, (PROGRAM, command)))
+        sys.stderr.write(f"{complaint(f'hil: {text}')} (see {own} --help)\n")
         return 2
     except (KeyboardInterrupt, typer.Abort):
         sys.stderr.write("hil: interrupted\n")
         return 1
     except OSError as error:  # a full or read-only disk, no memory, no temporary folder
         where = f"{error.filename}: " if error.filename is not None else ""
-        sys.stderr.write(f"hil: {where}{error.strerror or error}\n")
+        sys.stderr.write(complaint(f"hil: {where}{error.strerror or error}") + "\n")
         return 1
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import select
 import socket
 import threading
 from collections import deque
+from collections.abc import Iterator, Sequence
 from time import time
 
 import can
@@ -109,7 +111,7 @@ class RigSimBus(_SimulatedBus):
 class InProcessBus(_SimulatedBus):
     """The same wire within one process, for lockstep: a frame has arrived when ``send`` returns.
 
-    Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own, as canopen's notifier does.
+    Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own.
     """
 
     def __init__(self, hub: Hub, can_filters: CanFilters | None = None) -> None:
@@ -119,6 +121,7 @@ class InProcessBus(_SimulatedBus):
         self._arrival = threading.Condition()
         self._waiters = 0
         self._accepted: bytes | None = None
+        self._listeners: Sequence[can.Listener] = ()
         self._port = hub.attach(self._take)
         super().__init__(channel="in-process", can_filters=can_filters)
 
@@ -130,6 +133,15 @@ class InProcessBus(_SimulatedBus):
         """Leave the hub."""
         super().shutdown()
         self._hub.detach(self._port)
+
+    @contextlib.contextmanager
+    def heard_at_once(self, listeners: Sequence[can.Listener]) -> Iterator[None]:
+        """Hand each frame to ``listeners`` before ``send`` returns, so that no answer depends on a thread's turn."""
+        self._listeners = listeners
+        try:
+            yield
+        finally:
+            self._listeners = ()
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if not self._frames and (timeout == 0 or not self._wait(timeout)):
@@ -150,7 +162,11 @@ class InProcessBus(_SimulatedBus):
         if self._accepted is not None and not _accepts(self._accepted, frame):
             return
         self._frames.append(frame)
-        if self._waiters:
+        if self._listeners:
+            if (message := self.recv(0)) is not None:
+                for listener in self._listeners:
+                    listener(message)
+        elif self._waiters:
             with self._arrival:
                 self._arrival.notify()
 

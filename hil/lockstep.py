@@ -18,6 +18,7 @@ from hil.hub import Hub
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
+from rigctl.control.hold_sockets import GivenHolds, Hold
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
@@ -25,6 +26,7 @@ from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.ipc.correction import Correction
+from rigctl.ipc.record import HOLD_ID
 from rigctl.ipc.runtime_folder import Runtime
 
 START_NS = 1_000_000_000
@@ -36,16 +38,34 @@ ARM_LIMIT_S = 25.0  # slow devices take up to 15 s to send their settings; stop 
 
 
 class SkippingClock(SimulatedClock):
-    """A simulated clock that can make the next tick late: ``skip`` grid points are missed, then ``skip`` is 0 again."""
+    """A simulated clock that can make the next tick late.
 
-    skip = 0
+    ``skip`` grid points are missed, and the tick after them wakes ``late_ns`` after its own; then both are 0 again.
+    """
+
+    skip = late_ns = 0
+
+    def __init__(
+        self, period_ns: int, advance: Callable[[int], None], start_ns: int, pass_to: Callable[[int], None]
+    ) -> None:
+        """``advance`` ends a period of the world, ``pass_to`` lets time pass within one."""
+        super().__init__(period_ns, advance, start_ns)
+        self._pass_to, self._woke_ns = pass_to, start_ns
 
     def next_tick(self) -> tuple[int, int]:
-        """Advance the world to the next grid point that is not missed."""
-        missed, self.skip = self.skip, 0
+        """Advance the world to the next grid point that is not missed, and on by the tick's lateness."""
+        missed, late_ns, self.skip, self.late_ns = self.skip, self.late_ns, 0, 0
         for _ in range(missed):
             super().next_tick()
-        return super().next_tick()[0], missed
+        point_ns, _ = super().next_tick()
+        self._woke_ns = point_ns + late_ns
+        if late_ns:
+            self._pass_to(self._woke_ns)
+        return point_ns, missed
+
+    def now(self) -> int:
+        """When the last tick woke."""
+        return self._woke_ns
 
 
 class Lockstep:
@@ -78,31 +98,50 @@ class Lockstep:
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
         self._bus = bus = InProcessBus(self.hub)
-        with self._time_passing() if settings.simulation and settings.simulation.devices.slow else nullcontext():
-            self.report = startup.bring_up(bus, settings)
-        self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns)
+        self.report = self._bring_up()
+        self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns, self._pass_to)
         self._records = runtime.records.reader()
         self._replies = runtime.replies.reader()
-        self._commands, self._holds = runtime.commands.writer(), runtime.holds.writer()
+        self._commands = runtime.commands.writer()
+        self.holds = GivenHolds()
         self.events = runtime.events.reader()
-        self.loop = Loop(
-            settings,
-            gains,
-            bus,
-            self.clock,
-            Rings.of(runtime),
-            supervised=self.report.supervised,
-            law=law,
-            correction=correction,
-            process_data=self.report.process_data,
-            watched=self.report.watched,
-            last_stroke=last_stroke,
-            host_checks=host_checks,
-        )
+
+        def make_loop(last: LastStroke) -> Loop:
+            return Loop(
+                settings,
+                gains,
+                bus,
+                self.clock,
+                Rings.of(runtime),
+                supervised=self.report.supervised,
+                law=law,
+                correction=correction,
+                process_data=self.report.process_data,
+                watched=self.report.watched,
+                last_stroke=last,
+                host_checks=host_checks,
+                holds=self.holds,
+            )
+
+        self._make_loop = make_loop
+        self.loop = self._make_loop(last_stroke)
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
         """Called after every period of the rig, whether the loop ticks then or misses it."""
         self.reply: Any = None  # to the last command
+
+    def tick(self) -> None:
+        """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
+        self.loop.tick()
+        if self.loop.machine.starts_anew:
+            last = LastStroke(self.loop.inbox.stroke_mm)
+            self.report = self._bring_up()
+            self.loop = self._make_loop(last)
+
+    def _bring_up(self) -> startup.StartupReport:
+        simulation = self.settings.simulation
+        with self._time_passing() if simulation and simulation.devices.slow else nullcontext():
+            return startup.bring_up(self._bus, self.settings, heard=self._bus.heard_at_once)
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
@@ -128,10 +167,13 @@ class Lockstep:
             done.set()
             thread.join()
 
-    def _advance(self, t_ns: int) -> None:
+    def _pass_to(self, t_ns: int) -> None:
         self.rig_ns = t_ns + WORK_NS
         self.rig.advance(self.rig_ns)
         self.rig.supervise(self.rig_ns)
+
+    def _advance(self, t_ns: int) -> None:
+        self._pass_to(t_ns)
         if not self._keep_log:
             self.hub.log.clear()
         if self.on_advance is not None:
@@ -146,7 +188,7 @@ class Lockstep:
         self._records.read()
         slots = []
         for i in range(round(seconds * self.settings.loop.rate_hz)):
-            self.loop.tick()
+            self.tick()
             if i % 1000 == 999:
                 slots.append(self._records.read())
         return np.concatenate([*slots, self._records.read()])
@@ -175,19 +217,18 @@ class Lockstep:
         """
         if limit_s is None:
             limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
-        return self._answer(repr(verb), self.give(verb, *values, age_ns=age_ns), limit_s)
+        return self._answer(repr(verb), self.give(verb, *values, age_ns=age_ns).__eq__, limit_s)
 
-    def hold(self, *, limit_s: float = 3.0, age_ns: int = 0) -> Refusal:
-        """Give HOLD, stamped ``age_ns`` ago, through its own ring and run until the loop replies."""
-        self._id += 1
-        self._holds.write(self.clock.now() - age_ns, self._id, 0, 0, b"test")
-        return self._answer("HOLD", self._id, limit_s)
+    def hold(self, *, limit_s: float = 3.0) -> Refusal:
+        """Give HOLD as a user of the rig's computer and run until the loop replies."""
+        self.holds.append(Hold(0, 0, "test"))
+        return self._answer("HOLD", HOLD_ID.__and__, limit_s)
 
-    def _answer(self, what: str, id_: int, limit_s: float) -> Refusal:
+    def _answer(self, what: str, is_its_id: Callable[[int], object], limit_s: float) -> Refusal:
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
-            self.loop.tick()
+            self.tick()
             for reply in self._replies.read():
-                if reply["id"] == id_:
+                if is_its_id(int(reply["id"])):
                     self.reply = reply
                     return Refusal(int(reply["reason"]))
         raise TimeoutError(f"{what} was not answered within {limit_s} s")
@@ -201,7 +242,7 @@ class Lockstep:
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             if self.loop.machine.mode is mode:
                 return
-            self.loop.tick()
+            self.tick()
         raise TimeoutError(f"not in {mode.name} within {limit_s} s, but in {self.loop.machine.mode.name}")
 
 

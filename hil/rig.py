@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+from hil.nodes.clock import GRID_NS
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
 from hil.nodes.io_node import IoNode
@@ -21,11 +22,6 @@ from hil.plant.moves import out_and_back
 from hil.truth import Truth, TruthLog
 from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import SimulationSettings
-from rigctl.devices import objects
-
-GRID_NS = 1_000_000
-"""Drive ramps, brake, encoder, filters, inclinometer, plain frames and truth log go on this grid, however often
-``advance`` is called."""
 
 
 class SimulatedRig:
@@ -64,7 +60,7 @@ class SimulatedRig:
         self._network = network = RigNetwork(send)
         self.cell, self.inclinometer = self._sensors(settings, simulation)
         self.drive = CylinderDrive(network, settings, simulation, self.plant)
-        self.io = IoNode(network, settings, self.plant) if settings.io else None
+        self.io = IoNode(network, settings, self.plant, self.drive) if settings.io else None
         io = (self.io,) if self.io else ()
         self._devices = (self.cell, self.drive, self.inclinometer, *io)
         eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
@@ -75,7 +71,6 @@ class SimulatedRig:
         encoders += (self.second_force,) if self.second_force else ()
         self.nodes = (*(device for device in self._devices if isinstance(device, Node)), *encoders, self.simulator)
         self.receive = network.receive
-        network.subscribe(objects.SYNC_COB, self._on_sync)
         for node in self.nodes:
             if node is not self.simulator:
                 node.behave(simulation.devices)
@@ -138,7 +133,3 @@ class SimulatedRig:
         else:
             slope = Inclinometer(network, settings, simulation, plant)
         return cell, slope
-
-    def _on_sync(self, _: int, __: bytes, ___: float) -> None:
-        for node in self.nodes:
-            node.on_sync()

@@ -6,7 +6,6 @@ import gc
 import os
 import pathlib
 import sys
-import threading
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from time import monotonic_ns
@@ -17,7 +16,7 @@ import can
 from hil.bus_link import BusLink
 from hil.hub import Hub
 from hil.hub_server import HubServer
-from hil.plant.plant import compile_kernel
+from hil.plant.plant import compile_kernel, is_compiled
 from hil.rig import SimulatedRig
 from hil.truth import TruthLog
 from rigctl.config import rig_file as config
@@ -26,7 +25,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import eds_file
 from rigctl.ipc import output_file
-from rigctl.ipc.service_manager import notify
+from rigctl.ipc.service_manager import Watchdog, notify
 from rigctl.ipc.termination import ENDING, on_signals
 
 WAIT_S = 0.001
@@ -37,9 +36,6 @@ LONGEST_SILENCE_NS = 5_000_000
 
 
 PRIORITY_BELOW_LOOP = 10
-
-COMPILING_S = 1.0
-"""Building the rig takes longer than this only when its plant has to be compiled first."""
 
 
 class ServeError(Exception):
@@ -129,9 +125,10 @@ class Service:
 
     def run(self) -> None:
         """Serve until ``stop``. Each frame acts on the plant at its own time of arrival."""
-        line, rig = self.line, self.rig
+        line, rig, watchdog = self.line, self.rig, Watchdog()
         while not self._stopping:
             line.poll(WAIT_S)
+            watchdog.feed()
             now_ns = monotonic_ns()
             rig.advance(now_ns)
             rig.supervise(now_ns)
@@ -183,13 +180,9 @@ def serve(
         eds_file.check(settings)
     except eds_file.EdsError as error:
         raise ServeError(str(error), 2) from None
-    slow = threading.Timer(COMPILING_S, sys.stderr.write, ["hil: compiling the plant (once)\n"])
-    slow.start()
-    try:
-        service = Service(settings, truth)
-    finally:
-        slow.cancel()
-        slow.join()
+    if not is_compiled():
+        sys.stderr.write("hil: compiling the plant (once)\n")
+    service = Service(settings, truth)
     on_signals(lambda *_: service.stop(), *ENDING)
     try:
         _prepare_process(settings)

@@ -1,6 +1,7 @@
 """What holds for every test: hypothesis judges results, not how long a busy machine took for them.
 
-Tests that run real processes in real time (``real_time``) have the machine for themselves; all others share it.
+Tests that run real processes in real time (``real_time``) run two at a time, those that judge a time (``alone``) one
+after the other; all others share the machine.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.real_time)
         elif where.startswith(STUDIES):
             item.add_marker(pytest.mark.study)
+        elif item.get_closest_marker("real_time") and item.path.name != "test_pytest_plugin.py":
+            raise pytest.UsageError(f"{where}: a real-time test outside tests/live, where `make test-live` runs it")
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from hil.cell import coverage
 from hil.cell.coverage import STATED, Coverage
-from hil.cli.files import check_outputs, simulated_rig, write_json
+from hil.cli.files import check_outputs, publish, simulated_rig
 from hil.scenario.errors import ScenarioError
 from hil.study.result_table import console, table, verdict
 from rigctl.cli.progress import progress
@@ -38,10 +38,9 @@ def run(rig_file: pathlib.Path, cells: int, json: pathlib.Path | None) -> int:
     if rig.calibration is None:
         raise ScenarioError([f"{rig_file}: calibration: found nothing, expected a section (the cell is calibrated)"])
     check_outputs({"--json": json}, [rig_file])
-    with progress("cells", cells) as advance:
+    with progress("cells", cells, lines=True) as advance:
         found = coverage.study(rig, cells, advance)
-    console(WIDTH).print(_table(rig, found), highlight=False)
-    write_json(json, document(rig, found))
+    publish(json, document(rig, found), lambda: console(WIDTH).print(_table(rig, found), highlight=False))
     return 0 if all(way.ok for way in found) else 1
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pathlib
-import sys
 from collections.abc import Sequence
 
-from hil.cli.files import check_folder, check_names, check_outputs, simulated_rig, write_json
+from hil.cli.files import check_folder, check_names, check_outputs, publish, say, simulated_rig
 from hil.compare import comparison, comparison_charts, comparison_tables
 from hil.compare.compared_runs import QUICK, compared_runs
 from hil.compare.rivals import LAWS, OURS
@@ -53,10 +52,9 @@ def run(
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, comparison_charts.FIRST)
     total = sum(piece.cost for piece in comparison.pieces(rig, chosen, laws).values())
-    with progress("the comparison", total) as advance:
+    with progress("the comparison", total, lines=True) as advance:
         found = comparison.compare(rig, chosen, laws, advance)
-    comparison_tables.show(found, console(WIDTH))
-    write_json(json, comparison_tables.document(found))
+    publish(json, comparison_tables.document(found), lambda: comparison_tables.show(found, console(WIDTH)))
     for file in comparison_charts.save(found, folder) if folder is not None else ():
-        sys.stdout.write(f"{file}\n")
+        say(json, f"{file}")
     return 1 if any(law == OURS and not result.whole for (_, law), result in found.results.items()) else 0

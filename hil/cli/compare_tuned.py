@@ -1,17 +1,18 @@
-"""``python -m hil compare --equal-limits``, ``--random`` and ``--front``: laws tuned by one optimiser."""
+"""``python -m hil compare --equal-limits``, ``--random``, ``--front`` and ``--bound``: laws tuned by one
+optimiser."""
 
 from __future__ import annotations
 
 import pathlib
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil.cli.files import check_names, check_outputs, simulated_rig, write_json
-from hil.compare import equal_limits, front, random_rigs, tuned_tables
+from hil.cli.files import check_names, check_outputs, publish, say, simulated_rig
+from hil.compare import equal_limits, front, random_rigs, tuned_laws, tuned_tables
 from hil.compare.compared_runs import QUICK, compared_runs
 from hil.compare.rivals import OURS
+from hil.scenario.errors import ScenarioError
 from hil.study.result_table import console
 from hil.study.rows_file import RowsFile
 from rigctl.config.settings import RigSettings
@@ -29,6 +30,11 @@ class Asked:
     json: pathlib.Path | None
     rows: pathlib.Path | None
     quick: bool = False
+    designs: int | None = None
+
+    def say(self, line: str) -> None:
+        """Print a line; on standard error, where standard output takes JSON."""
+        say(self.json, line)
 
     def laws(self, allowed: Sequence[str], default: Sequence[str]) -> list[str]:
         """The laws named; by default those of ``default``."""
@@ -49,24 +55,47 @@ def run_equal_limits(rig_file: pathlib.Path, asked: Asked) -> int:
     check_names("--only", asked.only, [run.name for run in runs])
     wanted = asked.only or (QUICK if asked.quick else ())
     chosen = [run for run in runs if not wanted or run.name in wanted]
-    found = equal_limits.study(rig, chosen, laws, RowsFile(asked.rows, _of(rig)), _say)
-    tuned_tables.show_equal_limits(found, console(WIDTH))
-    write_json(asked.json, equal_limits.document(found))
+    found = equal_limits.study(rig, chosen, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say, asked.designs)
+    publish(asked.json, equal_limits.document(found), lambda: tuned_tables.show_equal_limits(found, console(WIDTH)))
     return int(any(law == OURS and row.eta_rms_pct is None for (_, law), row in found.outcomes.items()))
 
 
+def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
+    """Our law against the convex bound; returns 0, or 1 when ours is below it.
+
+    Raises: as `run_equal_limits`.
+    """
+    from hil.compare.bound import bound_tables, study  # the solver takes seconds to load
+    from hil.compare.bound.linear_law import NoBoundError
+
+    rig = _rig(rig_file, asked)
+    asked.laws((OURS,), (OURS,))
+    runs = compared_runs(rig)
+    every = study.names(runs)
+    check_names("--only", asked.only, every)
+    kept = RowsFile(asked.rows, _of(rig, asked))
+    try:
+        found, joint = study.study(rig, runs, asked.only or every, kept, asked.say, asked.designs)
+    except NoBoundError as error:
+        raise ScenarioError([f"{rig_file}: {error}"]) from None
+    figures = study.document(rig, found, joint)
+    publish(asked.json, figures, lambda: bound_tables.show_bound(rig, found, joint, console(WIDTH)))
+    return int(any(row.below for row in found))
+
+
 def run_random(rig_file: pathlib.Path, count: int, seed: int, asked: Asked) -> int:
-    """Random rigs; returns 0, or 1 when our identified law tripped or has Ms above the limit on one.
+    """Random rigs; returns 0, or 1 when our identified law tripped on one, or has Ms above the limit there.
 
     Raises: as `run_equal_limits`.
     """
     allowed = (*equal_limits.COMPARED, random_rigs.ASSUMED)
     rig, laws = _rig(rig_file, asked), asked.laws(allowed, random_rigs.DEFAULT_LAWS)
-    found = random_rigs.study(rig, count, seed, laws, RowsFile(asked.rows, {**_of(rig), "seed": seed}), _say)
+    rows = RowsFile(asked.rows, {**_of(rig, asked), "seed": seed})
+    found = random_rigs.study(rig, count, seed, laws, rows, asked.say, asked.designs)
     limit = rig.design.ms_max
-    tuned_tables.show_random(found, limit, console(WIDTH))
     said = random_rigs.summary(found, limit)
-    write_json(asked.json, {"seed": seed, "laws": said, "rigs": [row._asdict() for row in found]})
+    document = {"seed": seed, "laws": said, "rigs": [row._asdict() for row in found]}
+    publish(asked.json, document, lambda: tuned_tables.show_random(found, limit, console(WIDTH)))
     return int(OURS in said and said[OURS]["ended_early"] + said[OURS]["ms_above"] > 0)
 
 
@@ -76,10 +105,10 @@ def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
     Raises: as `run_equal_limits`.
     """
     rig, laws = _rig(rig_file, asked, file), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
-    points = front.points(rig, laws, RowsFile(asked.rows, _of(rig)), _say)
+    points = front.points(rig, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say)
     front.draw(rig, points, file)
-    write_json(asked.json, {"points": [point._asdict() for point in points]})
-    _say(str(file))
+    publish(asked.json, {"points": [point._asdict() for point in points]}, lambda: None)
+    asked.say(str(file))
     return 0
 
 
@@ -88,16 +117,12 @@ def _rig(rig_file: pathlib.Path, asked: Asked, picture: pathlib.Path | None = No
     return simulated_rig(rig_file)
 
 
-def _of(rig: RigSettings) -> dict[str, Any]:
+def _of(rig: RigSettings, asked: Asked) -> dict[str, Any]:
     """What rows are of."""
     assert rig.simulation is not None  # `simulated_rig` refuses a rig without it
     limits = {"ms": rig.design.ms_max, "command_noise_mm_s": rig.design.command_noise_max_mm_s}
     return {
         "rig": rig.rig, "inputs": gain_file.inputs(rig), "limits": limits,
         "simulation": rig.simulation.model_dump(mode="json"),
+        "starts": tuned_laws.STARTS, "designs": asked.designs or list(tuned_laws.EVALUATIONS.values()),
     }  # fmt: skip
-
-
-def _say(line: str) -> None:
-    sys.stdout.write(line + "\n")
-    sys.stdout.flush()

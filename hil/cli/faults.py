@@ -6,8 +6,8 @@ import pathlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from hil.cli.files import check_names, check_outputs, simulated_rig, write_json
-from hil.faults import fault_tables, gateway_kills, kills, lockstep_rows, processes
+from hil.cli.files import check_folder, check_names, check_outputs, publish, simulated_rig
+from hil.faults import fault_tables, gateway_kills, kills, lockstep_rows, named_rows, naming, processes
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.expected import InjectedFault
 from hil.faults.judge import FaultResult
@@ -16,6 +16,7 @@ from rigctl.cli.progress import progress
 from rigctl.control.modes import Mode
 
 NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.CATALOGUE))
+DIAGNOSED = (Mode.COMPENSATING.name, Mode.HOLD.name)
 
 
 @dataclass(frozen=True)
@@ -41,13 +42,12 @@ def run_kills(rig_file: pathlib.Path, count: int, json: pathlib.Path | None, *, 
     """
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
-    with progress("the gateway" if gateway else "kills", count) as advance:
+    with progress("the gateway" if gateway else "kills", count, lines=True) as advance:
         if gateway:
             found = gateway_kills.play(rig, count, advance).as_dict()
         else:
             found = kills.document(kills.play(rig, count, advance))
-    fault_tables.show_kills(found)
-    write_json(json, found)
+    publish(json, found, lambda: fault_tables.show_kills(found))
     return 0 if found["ok"] else 1
 
 
@@ -70,12 +70,43 @@ def run(rig_file: pathlib.Path, only: Sequence[str], modes: Sequence[str], json:
     rig = simulated_rig(rig_file)
     chosen = choose(only, modes)
     check_outputs({"--json": json}, [rig_file])
-    with progress("the fault catalogue", len(chosen.lockstep) + len(chosen.processes)) as advance:
+    with progress("the fault catalogue", len(chosen.lockstep) + len(chosen.processes), lines=True) as advance:
         rows = lockstep_rows.play(rig, chosen.lockstep, advance)
         rows += processes.play(rig, chosen.processes, advance)
-    fault_tables.show(rows)
-    write_json(json, document(rows))
+    publish(json, document(rows), lambda: fault_tables.show(rows))
     return 0 if all(row.ok for row in rows) else 1
+
+
+def run_diagnosis(
+    rig_file: pathlib.Path, folder: pathlib.Path, only: Sequence[str], modes: Sequence[str], json: pathlib.Path | None
+) -> int:
+    """Name the culprit of every row that trips; print the confusion matrix and what is wrong.
+
+    Args:
+        rig_file: with the ``simulation`` section.
+        folder: has, or gets, the window of each row; those it has are not played again.
+        only: ids of faults; none = all.
+        modes: names of modes; none = COMPENSATING and HOLD.
+        json: file for the rows.
+
+    Returns:
+        0 when enough culprits are right and nobody is sent to a loose load, else 1.
+
+    Raises:
+        ScenarioError: bad input, or a rig that cannot be simulated.
+        OutputError: a file that cannot be written.
+    """
+    rig = simulated_rig(rig_file)
+    chosen = choose(only, modes or DIAGNOSED).lockstep
+    check_folder("--diagnosis", folder, "row.npz")
+    check_outputs({"--json": json}, [rig_file])
+    with progress("culprits", len(chosen), lines=True) as advance:
+        rows, unplayed = named_rows.play(rig, chosen, folder, advance)
+    counted = {str(kind): count for kind, count in naming.shares(rows).items()}
+    ok = naming.good(rows) and not unplayed
+    found = {"rows": [row.as_dict() for row in rows], **counted, "total": len(rows), "ok": ok}
+    publish(json, found, lambda: fault_tables.show_named(rows, unplayed))
+    return 0 if ok else 1
 
 
 def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:

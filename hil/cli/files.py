@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 import json
+import math
 import pathlib
-from collections.abc import Collection, Mapping, Sequence
+import sys
+from collections.abc import Callable, Collection, Mapping, Sequence
+
+import numpy as np
 
 from hil.scenario.errors import ScenarioError
+from rigctl.cli.json_file import STANDARD_OUTPUT
+from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import output_file
@@ -45,10 +51,12 @@ def check_outputs(outputs: Mapping[str, pathlib.Path | None], inputs: list[pathl
     """
     taken = {file.resolve() for file in inputs}
     for option, file in outputs.items():
-        if file is None:
+        if file is None or (option == "--json" and file == STANDARD_OUTPUT):
             continue
         if file.resolve() in taken:
             raise ScenarioError([f"{option}: {file} is in use already, expected a file of its own"])
+        if option == "--json" and (why := json_complaint(file)) is not None:
+            raise ScenarioError([why])
         taken.add(file.resolve())
         output_file.check(option, file)
 
@@ -65,11 +73,39 @@ def check_folder(option: str, folder: pathlib.Path | None, first: str) -> None:
 
 
 def json_text(found: Mapping[str, object]) -> str:
-    """Figures as the text of a JSON file."""
-    return json.dumps(found, indent=2, allow_nan=False) + "\n"
+    """Figures as the text of a JSON file; numpy's numbers as those of Python, a number that is none as null."""
+    return json.dumps(_plain(found), indent=2, allow_nan=False) + "\n"
 
 
-def write_json(file: pathlib.Path | None, found: Mapping[str, object]) -> None:
-    """Write figures to the file, if one was requested."""
-    if file is not None:
-        output_file.write(file, json_text(found))
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(one) for one in value]
+    if isinstance(value, np.generic | np.ndarray):
+        return _plain(value.tolist())
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def publish(json: pathlib.Path | None, found: Mapping[str, object], show: Callable[[], object]) -> None:
+    """Show figures in words, and write them to the file, if one was requested; standard output takes JSON alone.
+
+    Args:
+        json: file for the figures; ``-`` prints them in place of the words.
+        found: the figures.
+        show: prints them in words.
+    """
+    if json == STANDARD_OUTPUT:
+        sys.stdout.write(json_text(found))
+        sys.stdout.flush()
+        return
+    show()
+    if json is not None:
+        output_file.write(json, json_text(found))
+
+
+def say(json: pathlib.Path | None, line: str) -> None:
+    """One line of progress or of a file that was written: beside JSON it is on standard error."""
+    stream = sys.stderr if json == STANDARD_OUTPUT else sys.stdout
+    stream.write(line + "\n")
+    stream.flush()

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import pathlib
-import sys
 from collections.abc import Sequence
 
-from hil.cli.files import check_folder, check_names, check_outputs, simulated_rig, write_json
+from hil.cli.files import check_folder, check_names, check_outputs, publish, say, simulated_rig
 from hil.moves import moves_output, repeated_moves
 from hil.study.result_table import console
 from rigctl.cli.progress import progress
@@ -37,10 +36,9 @@ def run(rig_file: pathlib.Path, only: Sequence[str], json: pathlib.Path | None, 
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, moves_output.PICTURE)
     total = sum(piece.cost for piece in repeated_moves.pieces(rig, chosen).values())
-    with progress("the moves", total) as advance:
+    with progress("the moves", total, lines=True) as advance:
         found = repeated_moves.study(rig, chosen, advance)
-    moves_output.show(found, chosen, console(WIDTH))
-    write_json(json, moves_output.document(found))
+    publish(json, moves_output.document(found), lambda: moves_output.show(found, chosen, console(WIDTH)))
     if folder is not None and (file := moves_output.draw(found, folder)) is not None:
-        sys.stdout.write(f"{file}\n")
+        say(json, f"{file}")
     return 1 if any(result.ended != "COMPENSATING" for result in found.values()) else 0

@@ -14,13 +14,21 @@ from rigctl.config.quantity import significant
 from rigctl.config.settings import RigSettings
 
 
-def run(name: str, given: Mapping[RigDecision, float | None], out: pathlib.Path | None, *, defaults: bool) -> int:
+def run(
+    name: str,
+    given: Mapping[RigDecision, float | None],
+    out: pathlib.Path | None,
+    *,
+    bus: Mapping[str, int | None] | None = None,
+    defaults: bool,
+) -> int:
     """Make the rig, write it, say what was written; returns 0.
 
     Args:
         name: the rig's.
         given: the options; None where there is none.
         out: folder; None = one of the rig's name.
+        bus: rate of the loop, bit rate and node ids by their keys; None where there is no option.
         defaults: ask nothing.
 
     Raises:
@@ -37,8 +45,9 @@ def run(name: str, given: Mapping[RigDecision, float | None], out: pathlib.Path 
     _, settings = paper()
     files = rig_folder.beside(settings)
     rig_folder.check(folder, name, files)  # before the questions
+    chosen = {key: value for key, value in (bus or {}).items() if value is not None}
     ask = not defaults and sys.stdin.isatty()
-    found = make(name, DecidedRig.of(_decisions(given, settings, ask=ask)))
+    found = make(name, DecidedRig.of(_decisions(given, settings, ask=ask)), chosen)
     file = rig_folder.write(folder, name, found.text, files)
     tension, stiffness = found.settings.tension, found.settings.plant.stiffness_n_mm
     lines = [f"{file}: rig {name}, {tension.target_n:g} N on {stiffness:.4g} N/mm; with eds/ and schema/ beside it"]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pathlib
-import sys
 
 from rich.console import Console
 
-from hil.cli.files import check_folder, check_outputs, simulated_rig, write_json
+from hil.cli.files import check_folder, check_outputs, publish, say, simulated_rig
 from hil.paper import claim_tables, claims, paper_figures, paper_study
 from rigctl.cli.progress import progress
 
@@ -30,11 +29,10 @@ def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path 
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, paper_figures.FIRST)
-    with progress("the paper's study", paper_study.runs()) as advance:
+    with progress("the paper's study", paper_study.runs(), lines=True) as advance:
         found = paper_study.run(rig, advance)
     rows = claims.judge(found.passive)
-    claim_tables.show(rows, found, Console())
-    write_json(json, claim_tables.document(rows, found))
+    publish(json, claim_tables.document(rows, found), lambda: claim_tables.show(rows, found, Console()))
     for file in paper_figures.save(found, folder) if folder is not None else ():
-        sys.stdout.write(f"{file}\n")
+        say(json, f"{file}")
     return 0 if all(row.explained for row in rows) else 1

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import pathlib
-import sys
 
 from rich.console import Console
 
-from hil.cli.files import check_outputs, json_text, write_json
+from hil.cli.files import check_outputs, publish
 from hil.scenario import output
 from hil.scenario.case import Case, load
 from hil.scenario.errors import ScenarioError
@@ -15,8 +14,6 @@ from hil.scenario.play import Played, play
 from hil.scenario.plot import SUFFIXES, plot
 from rigctl.cli.progress import progress
 from rigctl.ipc import output_file
-
-STANDARD_OUTPUT = pathlib.Path("-")
 
 
 def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | None) -> int:
@@ -35,18 +32,13 @@ def run(file: pathlib.Path, json: pathlib.Path | None, picture: pathlib.Path | N
     if picture is not None and picture.suffix.lower() not in SUFFIXES:
         raise ScenarioError([f"--plot: found {picture}, expected a name ending in {', '.join(SUFFIXES)}"])
     inputs = [file, file.parent / case.scenario.rig]
-    check_outputs({"--json": None if json == STANDARD_OUTPUT else json, "--plot": picture}, inputs)
+    check_outputs({"--json": json, "--plot": picture}, inputs)
     played = _play(case)
     results = output.as_dict(case, played)
-    if json != STANDARD_OUTPUT:
-        write_json(json, results)
     if picture is not None:
         with output_file.writing(picture):
             plot(case, played, picture)
-    if json == STANDARD_OUTPUT:
-        sys.stdout.write(json_text(results))
-    else:
-        output.show(results, Console(soft_wrap=True))
+    publish(json, results, lambda: output.show(results, Console(soft_wrap=True)))
     return 1 if played.ended.tripped else 0
 
 

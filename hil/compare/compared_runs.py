@@ -94,6 +94,7 @@ def _disturbances() -> list[ComparedRun]:
         ComparedRun(
             name="vertical",
             title="vertical motion 10 mm, 0.1 Hz",
+            changes={"safety.heave_mm": 10.0},
             tracks={HEIGHT: heaving},
             seconds=HEAVE_S,
             from_s=FADE_S + STEADY_S,

@@ -2,7 +2,8 @@
 
 What a published rule asks for says nothing of Ms over a family or of the command's noise, so that laws tuned by rules
 cannot be compared by their errors alone. Here every law has the same knowledge (the identified plant and its family),
-the same limits (`design.ms_max`, `design.command_noise_max_mm_s`) and the same search for the least error.
+the same limits (`design.ms_max`, `design.command_noise_max_mm_s`) and the same searches for the least error. Whether
+the limit of Ms holds on the rig as built is judged too, with its own damping, which no search sees.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from hil.compare.comparison import WAIVER, judge
 from hil.compare.rivals import OURS
 from hil.compare.rivals.feedback import Rival
 from hil.compare.rivals.tunable import TUNABLE
-from hil.compare.tuned_laws import TunedLaw, knobs_of, tuned
+from hil.compare.tuned_laws import FamilyResponses, TunedLaw, judged, knobs_of, tuned
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import play
 from hil.study.rows_file import RowsFile
@@ -29,6 +30,7 @@ from rigctl.design.gains import design
 from rigctl.design.identified import Identified
 from rigctl.design.knobs import knobs_for, searchable, turned
 from rigctl.design.margins import design_and_check
+from rigctl.design.margins import judge as judge_design
 from rigctl.design.plant_family import Family
 from rigctl.design.verdict import Design
 
@@ -71,6 +73,8 @@ class EqualLimits(NamedTuple):
     outcomes: dict[tuple[str, str], RunErrors]
     tunings: dict[tuple[str, str], TunedLaw]
     """By run and law."""
+    true_ms: dict[tuple[str, str], float]
+    """Ms with the plant as built, by run and law; infinite where the loop is unstable."""
 
     def wins(self) -> Iterator[tuple[str, bool]]:
         """Per run whether ours has the least rms, of the laws that reach the end."""
@@ -80,32 +84,45 @@ class EqualLimits(NamedTuple):
             yield run.name, ours is not None and all(other is None or ours <= other for other in others)
 
 
-def study(rig: RigSettings, runs: Sequence[ComparedRun], laws: Sequence[str], rows: RowsFile, say: Say) -> EqualLimits:
+def study(
+    rig: RigSettings, runs: Sequence[ComparedRun], laws: Sequence[str], rows: RowsFile, say: Say,
+    designs: int | None = None,
+) -> EqualLimits:  # fmt: skip
     """Tune and play every law in every run; what ``rows`` has already is not done again.
+
+    ``designs``: tried for each knob and start; None: as `tuned_laws.EVALUATIONS`.
 
     Raises:
         ScenarioError: the rig cannot be simulated.
     """
     outcomes, tunings = dict[tuple[str, str], RunErrors](), dict[tuple[str, str], TunedLaw]()
+    true_ms = dict[tuple[str, str], float]()
     for law in laws:
-        base = tuning(Known.of(rig), law, rows)
-        say(f"{law}: tuned for the rig of the file, Ms {base.ms:.2f}, noise {base.command_noise_mm_s:.2f} mm/s")
+        base = tuning(Known.of(rig), law, rows, designs=designs)
+        say(
+            f"{law}: tuned for the rig of the file, Ms {base.ms:.2f}, noise {base.command_noise_mm_s:.2f} mm/s, "
+            f"starts {spread_in_words(base)}"
+        )
         for run in runs:
             settings = run.settings(rig, WAIVER)
             known = Known.of(settings)
-            tunings[run.name, law] = mine = tuning(known, law, rows, base)
+            tunings[run.name, law] = mine = tuning(known, law, rows, base, designs=designs)
+            true_ms[run.name, law] = ms_as_built(settings, known, mine)
             key = f"play {run.name} {law}"
             kept = rows.get(key) or rows.put(key, played(settings, loop_law(known, mine), run)._asdict())
             outcomes[run.name, law] = found = RunErrors(**kept)
             say(f"{law}: {run.name}: {_words(found)}")
-    return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings)
+    return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings, true_ms)
 
 
-def tuning(known: Known, law: str, rows: RowsFile, base: TunedLaw | None = None, name: str | None = None) -> TunedLaw:
+def tuning(
+    known: Known, law: str, rows: RowsFile, base: TunedLaw | None = None, name: str | None = None,
+    designs: int | None = None,
+) -> TunedLaw:  # fmt: skip
     """The tuning of a law for a rig; ``base``: that for another one, from which a local search begins.
 
     Where the local search finds nothing within the limits, the whole range is searched. ``name``: under which it is
-    kept, the law's by default.
+    kept, the law's by default. ``designs``: for each knob and start, None for the default.
     """
     plant, mechanism = known.settings.plant, known.plant.mechanism_n_mm
     k_m = "rigid" if mechanism is None else f"{mechanism.value:.6g}"
@@ -113,14 +130,24 @@ def tuning(known: Known, law: str, rows: RowsFile, base: TunedLaw | None = None,
     kept = rows.get(key)
     if kept is None:
         start = base.values if base is not None and base.within else None
-        found = tuned(known.settings, known.family, law, start)
+        count = None if designs is None else designs * len(knobs_of(law, known.settings))
+        found = tuned(known.settings, known.family, law, start, evaluations=count)
         if not found.within and start is not None:
-            found = tuned(known.settings, known.family, law)
+            found = tuned(known.settings, known.family, law, evaluations=count)
         kept = rows.put(key, {name: plain(value) for name, value in found._asdict().items()})
-    return TunedLaw(
-        law, tuple(kept["values"]), kept["within"],
-        *(math.inf if kept[name] is None else kept[name] for name in ("cost", "ms", "command_noise_mm_s")),
-    )  # fmt: skip
+    cost, ms, noise = (_number(kept[name]) for name in ("cost", "ms", "command_noise_mm_s"))
+    return TunedLaw(law, tuple(kept["values"]), kept["within"], cost, ms, noise, tuple(map(_number, kept["costs"])))
+
+
+def _number(kept: float | None) -> float:
+    return math.inf if kept is None else kept
+
+
+def spread_in_words(law: TunedLaw) -> str:
+    """``within 2.1 %``, or how many of the starts found nothing within the limits."""
+    if law.spread_pct is not None:
+        return f"within {law.spread_pct:.1f} %"
+    return f"of which {sum(not math.isfinite(cost) for cost in law.costs)} found nothing within the limits"
 
 
 class LoopLaw(NamedTuple):
@@ -148,6 +175,17 @@ def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
         return Rival(settings, gains, inbox, make(settings, law.values))
 
     return LoopLaw(known.settings, design(known.settings), rival)
+
+
+def ms_as_built(settings: RigSettings, known: Known, law: TunedLaw) -> float:
+    """Ms of a tuned law on the rig as built, with its damping; infinite where the loop is unstable."""
+    truth = Family("true", (identification.true_plant(settings),))
+    runs = loop_law(known, law)
+    if law.name == OURS:
+        return judge_design(runs.settings, runs.gains, family=truth).ms_max
+    make = TUNABLE[law.name].make
+    found = judged(runs.settings, lambda: make(runs.settings, law.values), FamilyResponses(runs.settings, truth))
+    return math.inf if found is None else found.ms
 
 
 def played(settings: RigSettings, law: LoopLaw, run: ComparedRun) -> RunErrors:
@@ -184,6 +222,8 @@ def document(found: EqualLimits) -> dict[str, Any]:
                 law: {
                     **found.outcomes[run.name, law]._asdict(),
                     **{name: plain(value) for name, value in found.tunings[run.name, law]._asdict().items()},
+                    "spread_pct": found.tunings[run.name, law].spread_pct,
+                    "ms_as_built": plain(found.true_ms[run.name, law]),
                     "knobs": [knob.key for knob in knobs_of(law, found.rig)],
                 }
                 for law in found.laws
@@ -202,4 +242,6 @@ def _words(found: RunErrors) -> str:
 
 def plain(value: Any) -> Any:
     """As a JSON value: an infinite figure becomes null."""
+    if isinstance(value, tuple):
+        return [plain(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.nodes.low_pass import time_constant_s
+from hil.plant.parameters import axial_damping_n_s_mm
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design.identified import Identified, Uncertain
@@ -20,6 +21,7 @@ WHEN = "2026-01-01T00:00:00+00:00"
 COVERAGE = 1.96  # standard deviations of a normal error in its uncertainty of 95 %
 STIFFNESS, LAG, MECHANISM = 0.005, 0.01, 0.03
 """Uncertainty at 95 % as a share of the value."""
+DAMPING_N_S_MM = 0.0006
 DELAY_S = 0.0002
 SEEN_HZ = 25.0
 """Highest resonance of the mechanism that the multisine finds."""
@@ -34,6 +36,7 @@ class Built(NamedTuple):
     delay_s: float
     """Of the drive, and of the cell's filter."""
     mechanism_n_mm: float | None
+    damping_n_s_mm: float
 
 
 def built(rig: RigSettings) -> Built:
@@ -46,6 +49,7 @@ def built(rig: RigSettings) -> Built:
         plant.cylinder_lag_s * simulation.lag_scale,
         plant.command_delay_s * simulation.delay_scale + (time_constant_s(corner_hz) if corner_hz else 0.0),
         simulation.mechanism.vertical_n_mm,
+        axial_damping_n_s_mm(rig, simulation),
     )
 
 
@@ -63,7 +67,7 @@ def identified(rig: RigSettings, rng: np.random.Generator | None = None) -> Iden
     bound: float | None = float(above)
     if truth.mechanism_n_mm is not None and truth.mechanism_n_mm <= above:
         mechanism, bound = found(truth.mechanism_n_mm, MECHANISM * truth.mechanism_n_mm), None
-    delay = found(truth.delay_s, DELAY_S)
+    delay, damping = found(truth.delay_s, DELAY_S), found(truth.damping_n_s_mm, DAMPING_N_S_MM)
     return Identified(
         when=WHEN,
         entries=(),
@@ -74,12 +78,16 @@ def identified(rig: RigSettings, rng: np.random.Generator | None = None) -> Iden
         delay_s=Uncertain(max(delay.value, 0.0), delay.error),
         mechanism_n_mm=mechanism,
         mechanism_above_n_mm=bound,
+        damping_n_s_mm=Uncertain(max(damping.value, 0.0), damping.error),
     )
 
 
 def true_plant(rig: RigSettings) -> Member:
-    """The linear plant as built; the cell's filter as the delay that it is below its corner."""
-    truth = built(rig)
+    """The linear plant as built, with the cell's filter."""
+    truth, simulation = built(rig), rig.simulation
+    assert simulation is not None
     there = changed(rig, {"plant.spring_n_mm": None, "plant.rope_n_mm": truth.stiffness_n_mm,
                           "plant.cylinder_lag_s": truth.lag_s})  # fmt: skip
-    return sampled(there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, truth.delay_s * rig.loop.rate_hz)
+    ticks = rig.plant.command_delay_s * simulation.delay_scale * rig.loop.rate_hz
+    corner_hz = simulation.cell.filter_hz
+    return sampled(there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm, corner_hz)

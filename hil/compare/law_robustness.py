@@ -14,11 +14,8 @@ import numpy as np
 from hil.compare.rivals import PASSIVE, ComparedLaw
 from hil.compare.rivals.feedback import Feedback, Sample
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.design import closed_loop
-from rigctl.design.gains import OPEN, QUIET, design
-from rigctl.design.margins import controllers
-from rigctl.design.plant_family import Array, ComplexArray, Member, family, member
+from rigctl.design.margins import design_and_check, judge
+from rigctl.design.plant_family import Array, ComplexArray, Family, Member, family, member
 
 REST = Sample(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 SMALL = 1e-3
@@ -48,29 +45,23 @@ def robustness(rig: RigSettings, compared: ComparedLaw) -> Robustness | None:
     """Robustness of one law tuned for the rig; None for the locked cylinder."""
     if compared.name == PASSIVE:
         return None
-    plants = family(rig)
+    nominal = member(rig, rig.plant.mechanism_n_mm)
+    if compared.make is None:
+        over_family = design_and_check(rig)
+        own = judge(rig, over_family.gains, family=Family("of the file", (nominal,)))
+        noise = math.inf if own.performance is None else own.performance.command_noise_mm_s
+        return Robustness(own.ms_max, over_family.ms_max, noise)
+    plants, feedback = family(rig), compared.make(rig)
     grid = _grid(plants, 0.5 * rig.loop.rate_hz)
     z = np.exp(2j * np.pi * grid / rig.loop.rate_hz)
-    if compared.make is None:
-        model = filter_model(rig)
-        settings = controllers(model, design(rig))
-        laws = [ours.response(z) for ours in settings.values()]
-        at_rest = laws[list(settings).index(QUIET if QUIET in settings else OPEN)]
-        steady = [
-            closed_loop.closed_loop(plant, ours).spectral_radius < 1.0 for ours in settings.values() for plant in plants
-        ]
-    else:
-        feedback = compared.make(rig)
-        laws = [at_rest := response(feedback, z)]
-        steady = [dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants]
-    nominal = member(rig, rig.plant.mechanism_n_mm)
-    own = max(float(np.abs(sensitivity(nominal, law, z)).max()) for law in laws)
-    peaks = [float(np.abs(sensitivity(plant, law, z)).max()) for law in laws for plant in plants]
-    noise = np.trapezoid(np.abs(at_rest[0] * sensitivity(nominal, at_rest, z)[0]) ** 2, grid) / grid[-1]
+    law = response(feedback, z)
+    steady = all(dies_out(plant, feedback, round(LOOK_S * rig.loop.rate_hz)) for plant in plants)
+    at_rest = sensitivity(nominal, law, z)
+    noise = float(np.trapezoid(np.abs(law[0] * at_rest[0]) ** 2, grid) / grid[-1])
     return Robustness(
-        own,
-        max(peaks) if all(steady) else math.inf,
-        rig.tension_cell.noise_n * math.sqrt(float(noise)),
+        float(np.abs(at_rest).max()),
+        max(float(np.abs(sensitivity(plant, law, z)).max()) for plant in plants) if steady else math.inf,
+        rig.tension_cell.noise_n * math.sqrt(noise),
     )
 
 
@@ -107,9 +98,10 @@ def swing(plant: Member, feedback: Feedback, kick: Array) -> Array:
     tension, sample = np.zeros(len(kick)), REST
     for i, disturbance in enumerate(kick.tolist()):
         late.append(_tick(feedback, sample))
-        sample = REST._replace(tension_n=float(state[0]), speed_mm_s=float(state[1]))
+        tension[i] = plant.tension @ state + plant.loss_n_s_mm * disturbance
+        sensed_n = float(state[0]) + plant.sensed_n_s_mm * disturbance
+        sample = REST._replace(tension_n=sensed_n, speed_mm_s=float(state[1]))
         state = plant.a @ state + plant.b_command * late.pop(0) + plant.b_disturbance * disturbance
-        tension[i] = state[0]
     return tension
 
 

@@ -3,12 +3,12 @@
 What is drawn, each by itself: stiffness 4 to 40 N/mm and the mechanism's K_m from 6 N/mm to rigid, both uniform in the
 logarithm; drive's lag +-30 %, delay +-2 ms, friction of rail and pulley and the cell's noise from half to twice those
 of the rig file. The rig file believes the stiffness within 10 % and the rest as it stands; the identification corrects
-it. Ms of the result is that of the true plant, which the design never sees.
+it. Ms of the result is measured on the rig as it runs (`hil.compare.measured_ms`): with our law in the filter's quiet
+and open setting and at the level which the design has found worst. No model of the design is in that figure.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -16,19 +16,19 @@ import numpy as np
 
 from hil.compare import identification
 from hil.compare.compared_runs import ComparedRun
-from hil.compare.equal_limits import Known, LoopLaw, loop_law, plain, played, tuning
+from hil.compare.equal_limits import Known, LoopLaw, loop_law, our_design, plain, played, tuning
+from hil.compare.measured_ms import measured
 from hil.compare.rivals import OURS
-from hil.compare.rivals.tunable import TUNABLE
-from hil.compare.tuned_laws import FamilyResponses, TunedLaw, judged
+from hil.compare.tuned_laws import TunedLaw
 from hil.plant.layout import MECHANISM
+from hil.scenario.errors import ScenarioError
 from hil.study import runner
 from hil.study.planned_run import RAMP_S, SPEED_DEG_S, onwards
 from hil.study.rows_file import RowsFile
 from hil.study.runner import Work
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.design.margins import design_and_check, judge
-from rigctl.design.plant_family import Family
+from rigctl.design.margins import design_and_check
 
 STIFFNESS_N_MM, MECHANISM_N_MM = (4.0, 40.0), (6.0, 3000.0)
 RIGID_SHARE = 0.25
@@ -38,6 +38,8 @@ ASSUMED = "ours_assumed"
 """Our law without an identification: the rig file's plant and weights, over the assumed family."""
 DEFAULT_LAWS = (OURS, ASSUMED)
 Say = Callable[[str], None]
+MeasuredPeak = tuple[float | None, float | None, float | None, float | None]
+"""Ms, half of its 95 % interval, its frequency in Hz, the filter's level."""
 
 
 class RigRow(NamedTuple):
@@ -48,8 +50,14 @@ class RigRow(NamedTuple):
     stiffness_n_mm: float
     mechanism_n_mm: float | None
     ms: float | None
-    """By the true plant; None where the loop is unstable."""
+    """Measured on the rig; None where it did not stay in COMPENSATING."""
+    ms_error: float | None
+    """Half of its 95 % interval."""
+    ms_hz: float | None
+    ms_level: float | None
+    """At which it was the largest: 0 quiet, 1 open."""
     ms_family: float | None
+    """By the design, over the family of what was identified."""
     eta_max_pct: float | None
     eta_rms_pct: float | None
     micro_g: float | None
@@ -97,16 +105,21 @@ def scenario() -> ComparedRun:
     )  # fmt: skip
 
 
-def study(rig: RigSettings, count: int, seed: int, laws: Sequence[str], rows: RowsFile, say: Say) -> list[RigRow]:
+def study(
+    rig: RigSettings, count: int, seed: int, laws: Sequence[str], rows: RowsFile, say: Say,
+    designs: int | None = None,
+) -> list[RigRow]:  # fmt: skip
     """Every law on every rig; what ``rows`` has already is not done again.
+
+    ``designs``: for each knob and start, None for the default.
 
     Raises:
         ScenarioError: a rig cannot be simulated.
     """
-    bases = {law: tuning(Known.of(rig), law, rows) for law in laws if law != ASSUMED}
+    bases = {law: tuning(Known.of(rig), law, rows, designs=designs) for law in laws if law != ASSUMED}
     keys = {(index, law): f"rig {index} {law}" for index in range(count) for law in laws}
     missing = {
-        (index, law): Work(_row, (rig, seed, index, law, bases.get(law)), key)
+        (index, law): Work(row_of, (rig, seed, index, law, bases.get(law), designs), key)
         for (index, law), key in keys.items()
         if rows.get(key) is None
     }
@@ -119,32 +132,43 @@ def study(rig: RigSettings, count: int, seed: int, laws: Sequence[str], rows: Ro
     return [RigRow(**rows.get(key)) for key in keys.values()]
 
 
-def _row(rig: RigSettings, seed: int, index: int, law: str, base: TunedLaw | None) -> RigRow:
+def row_of(
+    rig: RigSettings, seed: int, index: int, law: str, base: TunedLaw | None, designs: int | None
+) -> RigRow:  # fmt: skip
+    """A law on one rig: tuned for what was identified, Ms measured, the move played."""
     settings, rng = drawn(rig, seed, index)
-    truth = Family("true", (identification.true_plant(settings),))
+    levels: tuple[float, ...] = (1.0,)
     if law == ASSUMED:
         designed = design_and_check(settings)
         runs, family = LoopLaw(settings, designed.gains), designed.ms_max
     else:
         known = Known.of(settings, identification.identified(settings, rng))
-        mine = tuning(known, law, RowsFile(None, {}), base)
+        mine = tuning(known, law, RowsFile(None, {}), base, designs=designs)
         runs, family = loop_law(known, mine), mine.ms
-    if runs.factory is None:
-        own = judge(runs.settings, runs.gains, family=truth).ms_max
-    else:
-        linear = judged(
-            runs.settings, lambda: TUNABLE[law].make(runs.settings, mine.values), FamilyResponses(runs.settings, truth)
-        )
-        own = math.inf if linear is None else linear.ms
+        if law == OURS:
+            _, designed = our_design(known, mine.values)
+            levels = tuple(sorted({0.0, 1.0, designed.worst_level}))
+    peak = peak_of(settings, runs, levels)
     outcome, plant = played(settings, runs, scenario()), identification.built(settings)
     return RigRow(
-        index, law, plant.stiffness_n_mm, plant.mechanism_n_mm, plain(own), plain(family), outcome.eta_max_pct,
+        index, law, plant.stiffness_n_mm, plant.mechanism_n_mm, *peak, plain(family), outcome.eta_max_pct,
         outcome.eta_rms_pct, outcome.micro_g, outcome.ended,
     )  # fmt: skip
 
 
+def peak_of(settings: RigSettings, runs: LoopLaw, levels: Sequence[float]) -> MeasuredPeak:
+    """Ms measured on the rig of ``settings``, its error, frequency and level; nothing where the rig trips."""
+    try:
+        peak = measured(settings, runs.settings, runs.gains, levels, runs.factory)
+    except ScenarioError as error:
+        if error.exit_code != 1:
+            raise
+        return None, None, None, None
+    return peak.ms, peak.error, peak.hz, peak.level
+
+
 def summary(rows: Sequence[RigRow], ms_max: float) -> dict[str, dict[str, Any]]:
-    """Per law: trips and the like, rigs beyond the limit of Ms by their true plant, medians and worst cases."""
+    """Per law: trips and the like, rigs whose measured Ms is above the limit beyond its interval, medians, worst."""
     return {law: _of_law([row for row in rows if row.law == law], ms_max) for law in dict.fromkeys(r.law for r in rows)}
 
 
@@ -152,7 +176,7 @@ def _of_law(rows: Sequence[RigRow], ms_max: float) -> dict[str, Any]:
     said: dict[str, Any] = {
         "rigs": len(rows),
         "ended_early": sum(row.eta_rms_pct is None for row in rows),
-        "ms_above": sum(row.ms is None or row.ms > ms_max for row in rows),
+        "ms_above": sum(row.ms is None or row.ms_error is None or row.ms - row.ms_error > ms_max for row in rows),
     }
     for name in ("ms", "eta_max_pct", "eta_rms_pct", "micro_g"):
         values = [value for row in rows if (value := getattr(row, name)) is not None]
@@ -165,6 +189,6 @@ def _of_law(rows: Sequence[RigRow], ms_max: float) -> dict[str, Any]:
 
 
 def _words(row: RigRow) -> str:
-    ms = "unstable" if row.ms is None else f"Ms {row.ms:.2f}"
+    ms = "Ms not measured" if row.ms is None else f"Ms {row.ms:.3f} +- {row.ms_error:.3f} at {row.ms_hz:.3g} Hz"
     errors = row.ended if row.eta_rms_pct is None else f"max {row.eta_max_pct:.4f}, rms {row.eta_rms_pct:.4f} %"
     return f"rig {row.rig}, {row.law}: k {row.stiffness_n_mm:.1f} N/mm, {ms}, {errors}"

@@ -1,7 +1,8 @@
 """Every law tuned by one optimiser for one plant: the same cost, the same limits of Ms and noise, the same family.
 
-The optimiser is that of `rigctl tune --optimize` (`rigctl.design.optimise`). Ms is over the family of the identified
-plant, at the plant's input and at the tension, for every law.
+The optimiser is that of `rigctl tune --optimize` (`rigctl.design.optimise`), begun three times: one search may end in a
+valley that is not the lowest, and how far the three are apart says how well the least error is known. Ms is over the
+family of the identified plant with its damping, at the plant's input and at the tension, for every law.
 """
 
 from __future__ import annotations
@@ -26,8 +27,11 @@ from rigctl.design.optimise import Best, Limits
 from rigctl.design.plant_family import ComplexArray, Family, Member
 from rigctl.design.surrogate import TickedLaw, nominal
 
-EVALUATIONS = {True: 120, False: 15}
-"""For each knob: of a search over the whole range, of one that begins at the optimum for another rig."""
+EVALUATIONS = {True: 60, False: 15}
+"""For each knob and start: of a search over the whole range, of one that begins at the optimum for another rig."""
+STARTS = 3
+AROUND = 3.0
+"""Factor, up or down, within which further starts lie about the optimum for another rig."""
 ANSWER_TICKS = 3000
 STABLE_S = 2.0
 """A disturbance of one tick must have died out by then on the plant in the settings; Ms covers the other plants."""
@@ -43,6 +47,15 @@ class TunedLaw(NamedTuple):
     """Mean of the logarithms of the errors in N over the surrogate's scenarios; infinite where a limit is broken."""
     ms: float
     command_noise_mm_s: float
+    costs: tuple[float, ...] = ()
+    """That of each start; the least is ``cost``."""
+
+    @property
+    def spread_pct(self) -> float | None:
+        """By how much more the worst start errs than the best; None where one of them found nothing within."""
+        if not self.costs or not all(map(math.isfinite, self.costs)):
+            return None
+        return 100.0 * math.expm1(max(self.costs) - min(self.costs))
 
 
 @dataclass
@@ -127,23 +140,64 @@ def tuned(
     settings: RigSettings, family: Family, law: str, start: Sequence[float] | None = None, *, seed: int = optimise.SEED,
     evaluations: int | None = None,
 ) -> TunedLaw:  # fmt: skip
-    """The values of a law's knobs for the plant in the settings.
+    """The values of a law's knobs for the plant in the settings: the best of `STARTS` searches.
 
     Args:
         settings: with the plant as identified; they hold the limits.
         family: the plants over which Ms is taken.
         law: ``ours`` or a name of ``TUNABLE``.
         start: where to begin a local search; None searches the whole range.
-        seed: of the search.
-        evaluations: candidates; None as many as the number of knobs asks for.
+        seed: of the first search, and of the starts of the others.
+        evaluations: candidates of each search; None as many as the number of knobs asks for.
     """
     knobs = knobs_of(law, settings)
     count = evaluations or EVALUATIONS[start is None] * len(knobs)
-    if law == OURS:
-        begun = settings if start is None else turned(settings, knobs, start)
-        used, best = optimise.weights(begun, family, seed=seed, evaluations=count)
+    plants = None if law == OURS else FamilyResponses(settings, family)
+    found = [
+        _searched(settings, family, plants, law, begun, seed + number, count)
+        for number, begun in enumerate(_starts(settings, law, knobs, start, seed))
+    ]
+    best = min(found, key=lambda each: (not each.within, each.cost, each.ms))
+    return best._replace(costs=tuple(each.cost for each in found))
+
+
+def _starts(
+    settings: RigSettings, law: str, knobs: Sequence[Knob], start: Sequence[float] | None, seed: int
+) -> list[tuple[float, ...]]:
+    """Where the searches begin: at ``start`` or the law's own, then drawn about it, or from the whole range."""
+    if start is not None:
+        first = tuple(start)
+    elif law == OURS:
+        first = tuple(float(value_of(settings, knob.key)) for knob in knobs)
+    else:
+        first = tuple(TUNABLE[law].start(Model.of(settings)))
+    found = [first]
+    for number in range(1, STARTS):
+        rng = np.random.default_rng([seed, number])
+        drawn = []
+        for value, knob in zip(first, knobs, strict=True):
+            about = (value / AROUND, value * AROUND) if start is not None else (knob.low, knob.high)
+            low, high = (min(max(end, knob.low), knob.high) for end in about)
+            drawn.append(optimise.rounded(math.exp(rng.uniform(math.log(low), math.log(high)))))
+        found.append(tuple(drawn))
+    return found
+
+
+def _searched(
+    settings: RigSettings,
+    family: Family,
+    plants: FamilyResponses | None,
+    law: str,
+    start: Sequence[float],
+    seed: int,
+    count: int,
+) -> TunedLaw:
+    """One search; ``plants``: the family's responses, None for our law."""
+    knobs = knobs_of(law, settings)
+    if plants is None:
+        used, best = optimise.weights(turned(settings, knobs, start), family, seed=seed, evaluations=count)
         return _found(law, tuple(float(value_of(used, knob.key)) for knob in knobs), best)
-    plants, limits, tunable = FamilyResponses(settings, family), Limits.of(settings), TUNABLE[law]
+    limits, tunable = Limits.of(settings), TUNABLE[law]
     inner = replace(
         limits,
         ms=limits.ms - optimise.MS_SPARE,
@@ -153,8 +207,7 @@ def tuned(
     def scored(values: Sequence[float]) -> optimise.Score:
         return optimise.score(settings, judged(settings, lambda: tunable.make(settings, values), plants), inner)
 
-    first = tunable.start(Model.of(settings)) if start is None else start
-    values, called = optimise.minimum(lambda values: scored(values).cost, knobs, first, seed=seed, evaluations=count)
+    values, called = optimise.minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=count)
     return _found(law, values, Best(values, scored(values), None, called))
 
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+import statistics
 from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
+from rich.table import Table
 
 from hil.compare.equal_limits import EqualLimits
 from hil.compare.random_rigs import ASSUMED, RigRow, summary
@@ -34,6 +37,10 @@ def show_equal_limits(found: EqualLimits, console: Console) -> None:
             best = min((value for value in values if value is not None), default=None)
             rows.add_row(run.title, *("-" if v is None else f"{v:.4g}{'*' if v == best else ' '}" for v in values))
         console.print(rows, highlight=False)
+    console.print(_searches(found), highlight=False)
+    above = [f"{law} in {run} {ms:.2f}" for (run, law), ms in found.true_ms.items() if ms > design.ms_max]
+    if above:
+        console.print(f"Ms on the rig as built above {design.ms_max:g}: {', '.join(above)}", highlight=False)
     missed = [f"{law} in {run}" for (run, law), tuning in found.tunings.items() if not tuning.within]
     if missed:
         console.print(f"no parameters within the limits: {', '.join(missed)}", highlight=False)
@@ -46,11 +53,30 @@ def show_equal_limits(found: EqualLimits, console: Console) -> None:
             console.print(f"not in: {', '.join(lost)}", highlight=False)
 
 
+def _searches(found: EqualLimits) -> Table:
+    """Per law: what its starts differ by, and the largest Ms over the family and on the rigs as built."""
+    rows = table(
+        "law", ("starts in all", "within the limits", "spread, %: median", "largest", "Ms, family", "Ms, as built"),
+        "\nSearches of each law: error of the worst start over that of the best, and the largest Ms of all scenarios",
+    )  # fmt: skip
+    for law in found.laws:
+        tunings = [found.tunings[run.name, law] for run in found.runs]
+        costs = [cost for tuning in tunings for cost in tuning.costs]
+        spreads = sorted(spread for tuning in tunings if (spread := tuning.spread_pct) is not None)
+        rows.add_row(
+            LAWS[law].title, str(len(costs)), str(sum(map(math.isfinite, costs))),
+            f"{statistics.median(spreads):.1f}" if spreads else "-", f"{spreads[-1]:.1f}" if spreads else "-",
+            f"{max(tuning.ms for tuning in tunings):.2f}",
+            f"{max(found.true_ms[run.name, law] for run in found.runs):.2f}",
+        )  # fmt: skip
+    return rows
+
+
 def show_random(rows: Sequence[RigRow], ms_max: float, console: Console) -> None:
     """Print medians and worst cases by law."""
     found = table(
         "law", ("rigs", "ended early", f"Ms > {ms_max:g}", "Ms med", "worst", "max % med", "p95", "worst", "rms % med",
-                "p95", "worst", "micro-g med", "worst"), "Random rigs, Ms by the true plant",
+                "p95", "worst", "micro-g med", "worst"), "Random rigs, Ms measured on each",
     )  # fmt: skip
     for law, said in summary(rows, ms_max).items():
         title = "ours, not identified" if law == ASSUMED else LAWS[law].title

@@ -73,12 +73,16 @@ ACCURACY_N = 9.0
 class Around:
     """State of the rig, and its motion, when the fault comes; the run without the fault has it too."""
 
-    change: tuple[tuple[str, float | Settings], ...] = ()
+    change: tuple[tuple[str, float | str | Settings | tuple[()]], ...] = ()
     """Settings, or a whole section, by dotted key."""
     motion: Callable[[], Mapping[int, Track]] | None = None
     """Motion of the plant from the moment of the fault on."""
     preload_n: float | None = None
     """Tension on entering the mode, where it is not the usual one."""
+    phase: str = ""
+    """Phase of arming in which the fault comes, see `hil.faults.arming_phases`; "": none is under way."""
+    course: Injector | None = None
+    """Commands of the run without the fault, where they move the load by more than the bound."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,7 @@ class InjectedFault:
     latency_ms: float = SENSOR_MS
     carried: bool = True
     from_start: bool = False  # present since power-on; the mode is entered with it
+    ends_elsewhere: bool = False  # commands are part of it: any mode may be the last if the load is where it was
     counter: str = ""  # field of the record that must have counted the fault
     around: Around = field(default_factory=Around)
     why: str = ""

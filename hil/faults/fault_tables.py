@@ -12,6 +12,7 @@ from rich.text import Text
 
 from hil.faults.expected import Expected, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
+from hil.faults.naming import NamedRow, Naming, confusion, shares
 from hil.faults.processes import ProcessFault
 from hil.study.result_table import console
 from rigctl.config.quantity import count
@@ -35,6 +36,30 @@ def show(rows: Sequence[FaultResult]) -> None:
     terminal.print(f"{count(len(rows), 'row')} of {count(faults, 'fault')}: {verdict}")
 
 
+def show_named(rows: Sequence[NamedRow], unplayed: Sequence[str]) -> None:
+    """Print how the culprits were named: what is not right, the confusion matrix, and the counts."""
+    terminal = Console(soft_wrap=True, highlight=False)
+    for row in rows:
+        if row.naming not in (Naming.RIGHT, Naming.TWO):
+            states, named = (" or ".join(parts) or "-" for parts in (row.states, row.named))
+            terminal.print(f"{row.id} in {row.mode}: {row.naming}: {states}, named {named}: {row.text}", markup=False)
+    for line in unplayed:
+        terminal.print(f"not played: {line}", markup=False)
+    for line in confusion_lines(rows):
+        terminal.print(line, markup=False)
+    counted = ", ".join(f"{number} {kind}" for kind, number in shares(rows).items())
+    terminal.print(f"{count(len(rows), 'row')} that trip: {counted}")
+
+
+def confusion_lines(rows: Sequence[NamedRow]) -> list[str]:
+    """The confusion matrix as a table of Markdown: the part stated, rows, and what was named how often."""
+    lines = ["| part stated | rows | named first |", "|---|---|---|"]
+    for part, counted in confusion(rows).items():
+        named = ", ".join(f"{name} {number}" for name, number in counted.most_common())
+        lines.append(f"| {part} | {counted.total()} | {named} |")
+    return lines
+
+
 def show_kills(found: Mapping[str, object]) -> None:
     """Print kills with findings, and the figures by name."""
     terminal = Console(soft_wrap=True)
@@ -53,7 +78,7 @@ def show_list(faults: Sequence[InjectedFault | ProcessFault]) -> None:
     """Print every fault, its description, and the expected reaction in each mode."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name in ("fault", "what", "expected"):
-        table.add_column(name)
+        table.add_column(name, no_wrap=name == "fault", overflow="fold")
     for fault in faults:
         table.add_row(*map(Text, (fault.id, fault.what, worded(fault.expected))))
     Console(width=WIDTH).print(table)

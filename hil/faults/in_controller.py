@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 
 from hil.faults.stand import Injector, Stand, Step
@@ -29,6 +30,29 @@ def overruns(ticks: int, every_s: float) -> Injector:
             if t_s >= due[0]:
                 due[0] += every_s
                 stand.lockstep.clock.skip = ticks
+
+        return step
+
+    return inject
+
+
+SHORTEST_S, LONGEST_S = 0.0002, 0.015  # pause of a busy computer, drawn evenly on a logarithmic scale
+MOST_LATE = 0.85  # of a period: a tick that wakes later than that and works for WORK_NS ends in the next period
+
+
+def busy(gap_s: float) -> Injector:
+    """Another process takes the processor now and then, ``gap_s`` apart in the mean: ticks wake late or are missed."""
+
+    def inject(stand: Stand) -> Step:
+        clock, random, period_ns = stand.lockstep.clock, stand.random, stand.settings.loop.period_ns
+        due = [random.expovariate(1.0 / gap_s)]
+
+        def step(t_s: float) -> None:
+            if t_s >= due[0]:
+                due[0] += random.expovariate(1.0 / gap_s)
+                pause_s = SHORTEST_S * math.exp(random.random() * math.log(LONGEST_S / SHORTEST_S))
+                clock.skip, late_ns = divmod(round(pause_s * 1e9), period_ns)
+                clock.late_ns = min(late_ns, round(MOST_LATE * period_ns))
 
         return step
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.nodes.cylinder_drive import ServiceTool
@@ -22,8 +23,6 @@ _INT16, _INT32 = (-(1 << 15) + 1, (1 << 15) - 1), (-(1 << 31) + 1, (1 << 31) - 1
 _RANGES = {CELL: _INT32, STROKE: _INT32, LONG: _INT16, LATERAL: _INT16, SPEED: _INT16}
 NOT_A_NUMBER = -(1 << 31)
 SPIKE_EVERY_MS = 200
-CREEP_N = 600.0
-"""Load under which a motor without power, its windings shorted, gives way at 1 mm/s."""
 
 
 def reads(
@@ -120,12 +119,11 @@ def power_dip(seconds: float) -> Injector:
     """All devices lose power for a moment: they are silent, the brake closes; then they reboot."""
 
     def inject(stand: Stand) -> Step:
-        hub = stand.rig.hub
-        hub.tap = lambda _, __: ()
+        connect = stand.intercept(lambda _, __: ())
         stand.drive.reset_node()
 
         def back() -> None:
-            hub.tap = None
+            connect()
             for node in stand.rig.rig.nodes:
                 node.reset_node()
 
@@ -164,6 +162,74 @@ def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
     def inject(stand: Stand) -> None:
         entry = stand.drive.device.sdo[index]
         (entry[sub] if sub else entry).raw = value
+
+    return inject
+
+
+def sync_unheard(find: FindNode) -> Injector:
+    """A device takes no frame as SYNC any more; its object 0x1005 reads as before."""
+    return lambda stand: find(stand).listen_to_sync(None)
+
+
+def rpdo_ignored() -> Injector:
+    """The drive receives its RPDO, which keeps its deadline, and does not act on it."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.rpdo_defect = lambda _: None
+
+    return inject
+
+
+def rpdo_frozen() -> Injector:
+    """The drive takes the content of the first RPDO from now on for that of every one."""
+
+    def inject(stand: Stand) -> None:
+        first: list[bytes] = []
+
+        def repeated(data: bytes) -> bytes:
+            if not first:
+                first.append(data)
+            return first[0]
+
+        stand.drive.rpdo_defect = repeated
+
+    return inject
+
+
+def rpdo_late(ticks: int) -> Injector:
+    """The drive acts on each RPDO as many ticks after it has come."""
+
+    def inject(stand: Stand) -> None:
+        waiting = deque[bytes]()
+
+        def delayed(data: bytes) -> bytes | None:
+            waiting.append(data)
+            return waiting.popleft() if len(waiting) > ticks else None
+
+        stand.drive.rpdo_defect = delayed
+
+    return inject
+
+
+def hangs() -> Injector:
+    """The drive's motor goes on at its last speed: no command, NMT stop or silence changes that."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.hung = True
+
+    return inject
+
+
+def io_without_power() -> Injector:
+    """The I/O node loses its own power: it is silent, and its relays open."""
+    return lambda stand: stand.io.switch_off()
+
+
+def enable_welded() -> Injector:
+    """The relay of the drive's enable does not open any more."""
+
+    def inject(stand: Stand) -> None:
+        stand.io.welded = True
 
     return inject
 
@@ -231,34 +297,38 @@ def creeps(speed_mm_s: float) -> Injector:
     return inject
 
 
-def brake_slips(speed_mm_s: float, *, dead_band: bool = False) -> Injector:
-    """The closed brake lets the load down at this speed; ``dead_band``: a speed below the motor's is none."""
+def brake_slips(speed_mm_s: float) -> Injector:
+    """The closed brake lets the load down at this speed."""
 
     def inject(stand: Stand) -> None:
-        if not dead_band:
-            stand.plant.parameters["dead_band"] = 0.0
-        stand.drive.defect = lambda speed, braked: (-speed_mm_s, False) if braked else (speed, False)
+        stand.drive.brake.slip_mm_s = speed_mm_s
 
     return inject
 
 
 def brake_stays_closed() -> Injector:
-    """The brake does not open, or has closed by itself."""
+    """The brake does not open, or has closed by itself; the motor pulls against it up to its peak current."""
 
     def inject(stand: Stand) -> None:
-        stand.drive.defect = lambda speed, _: (speed, True)
+        stand.drive.brake.stuck_closed = True
+
+    return inject
+
+
+def brake_drags(newtons: float) -> Injector:
+    """The brake opens only partly: the motor turns against so much friction, as rope force."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.brake.drag_n = newtons
 
     return inject
 
 
 def brake_stays_open() -> Injector:
-    """The brake does not hold; a motor without power gives way slowly."""
+    """The brake does not close; a motor without power gives way slowly."""
 
     def inject(stand: Stand) -> None:
-        def defect(speed: float, braked: bool) -> tuple[float, bool]:
-            return (-stand.plant.truth.tension_n / CREEP_N if braked else speed), False
-
-        stand.drive.defect = defect
+        stand.drive.brake.stuck_open = True
 
     return inject
 

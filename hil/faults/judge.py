@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,11 +25,14 @@ TRIP_TEXT = 80
 """Characters of a row's text that fit into an event."""
 DRIVE_STOPS_MS = 100.0
 """Time in which a drive without commands stands still."""
+MOVES_MM_S, LAST_S, DEAD_REST_MM = 0.1, 1.0, 0.02
+"""A load moves: faster than the first over the last second of a row; it rests: less than the third in half a second."""
+DEATH = "the death of the loop stopped it"
 KEPT_IN = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke in place."""
 _WHAT_WILL_DO = {
     Reaction.HELD: {Reaction.HELD, Reaction.DRIVE_OFF},
-    Reaction.EITHER: {Reaction.HELD, Reaction.DRIVE_OFF, Reaction.RIDDEN},
+    Reaction.EITHER: {Reaction.HELD, Reaction.DRIVE_OFF, Reaction.LATCHED, Reaction.RIDDEN, Reaction.REFUSED},
     Reaction.REFUSED: {Reaction.REFUSED, Reaction.LATCHED},
     Reaction.DRIVE_STOPS: {Reaction.DRIVE_OFF},
 }
@@ -79,13 +82,15 @@ class FaultResult:
 def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> FaultResult:
     """Compare a run with the catalogue's expectation."""
     expected = fault.expected[mode]
-    at = _reaction_at(run, expected, mode)
+    run, dead = _parted(run)
+    at = _last_fault_at(run) if fault.ends_elsewhere else _reaction_at(run, expected, mode)
     reaction = _reaction(fault, run, undisturbed, mode, at)
     detection_ms, latency_ms = _times(run, expected, at, settings)
     error_n = _error_n(run, undisturbed, at)
     stroke_mm = _moved_mm(run, undisturbed, at)
     without_n = _until(run, undisturbed, undisturbed.tension_n, at)[-1]
-    carried = bool(run.tension_n[-1] > CARRIED * without_n) or without_n < settings.tension.slack_n  # released by then
+    released = without_n < settings.tension.slack_n
+    carried = bool(released or run.tension_n[-1] > CARRIED * without_n)
     findings = []
     if reaction not in _WHAT_WILL_DO.get(expected, {expected}):
         findings.append(f"{reaction}")
@@ -97,6 +102,7 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
         findings.append("load not carried")
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
     findings += _uncounted(fault, run, undisturbed)
+    findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
     return FaultResult(
         fault.id,
         mode.name,
@@ -114,6 +120,37 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
     )
 
 
+def _parted(run: Run) -> tuple[Run, Floats]:
+    """The run up to the death of its loop, and the stroke from then on."""
+    end = len(run.t_s) if run.dead_from is None else run.dead_from
+    alive = {name: getattr(run, name)[:end] for name in ("t_s", "tension_n", "stroke_mm", "enabled")}
+    return replace(run, **alive), run.stroke_mm[end:]
+
+
+def _stopped_by_death(run: Run, dead: Floats, undisturbed: Run, at: float | None, stiffness_n_mm: float) -> list[str]:
+    """A load that moves until the loop is killed, and no longer: the rig lacked a reaction.
+
+    Its motion is that of the tension against the run without the fault, or against the reaction's.
+    """
+    since_s = max(run.t_s[-1] - LAST_S, REST_S if at is None else at + REST_S)
+    last = run.t_s >= since_s
+    last_s = run.t_s[-1] - since_s
+    if not len(dead) or last_s < REST_S or np.ptp(dead[-len(dead) // 3 :]) > DEAD_REST_MM:
+        return []
+    off_n = (run.tension_n - _until(run, undisturbed, undisturbed.tension_n, at))[last]
+    # While a law regulates, what leads back to the run without the fault is its work; else nothing may move the load.
+    regulated = Mode(int(run.records["mode"][-1])) not in KEPT_IN
+    moved_n = away_n(off_n[-1:], off_n[0])[0] if regulated else abs(off_n[-1] - off_n[0])
+    speed_mm_s = float(moved_n) / stiffness_n_mm / last_s
+    return [f"the load moved at {speed_mm_s:.2f} mm/s until {DEATH}"] if speed_mm_s > MOVES_MM_S else []
+
+
+def away_n(off_n: Floats, from_n: float) -> Floats:
+    """How far each value is beyond the first, seen from 0; on the other side of 0, all of it."""
+    other = np.sign(off_n) * np.sign(from_n) < 0.0
+    return np.where(other, np.abs(off_n), np.maximum(np.abs(off_n) - abs(from_n), 0.0))
+
+
 def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
     """Time at which FAULT was entered (or the drive switched off, where that is expected); None if it was not."""
     if expected in (Reaction.DRIVE_STOPS, Reaction.DRIVE_OFF):
@@ -123,6 +160,12 @@ def _reaction_at(run: Run, expected: Reaction, mode: Mode) -> float | None:
         return None
     tripped = np.flatnonzero(run.records["mode"] == Mode.FAULT)
     return float(run.records_t_s[tripped[0]]) if len(tripped) else None
+
+
+def _last_fault_at(run: Run) -> float | None:
+    """Time of the last entry into FAULT: an operator's commands come before it."""
+    entered = np.flatnonzero(np.diff((run.records["mode"] == Mode.FAULT).astype(int), prepend=0) > 0)
+    return float(run.records_t_s[entered[-1]]) if len(entered) else None
 
 
 def _reaction(fault: InjectedFault, run: Run, undisturbed: Run, mode: Mode, at: float | None) -> Reaction:
@@ -139,10 +182,14 @@ def _reaction(fault: InjectedFault, run: Run, undisturbed: Run, mode: Mode, at: 
         if mode is Mode.DISARMED:
             return Reaction.LATCHED
         return Reaction.HELD if run.enabled[-1] else Reaction.DRIVE_OFF
+    if fault.ends_elsewhere:
+        return Reaction.RIDDEN
     if run.refusal is not None:
         return Reaction.ARMED if run.refusal is Refusal.NONE else Reaction.REFUSED
     if np.any(run.records["mode"] == Mode.FAULT):
         return Reaction.LEFT
+    if fault.around.phase and last is Mode.DISARMED:
+        return Reaction.REFUSED
     return Reaction.RIDDEN if last == undisturbed.records["mode"][-1] else Reaction.LEFT
 
 

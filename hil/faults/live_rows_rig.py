@@ -39,8 +39,10 @@ STOP_S = 20.0
 POLL_S = 0.02
 WAY, SPARE = 0.07, 0.5
 """Shares of the target: a moving mode's distance from its end, and the least load on the rope in every mode."""
-CONTROL, GATEWAY, SUPERVISOR = "control", "gateway", "supervisor"
-VICTIMS = (CONTROL, GATEWAY, SUPERVISOR)
+CONTROL, GATEWAY, SUPERVISOR, RECORDER = "control", "gateway", "supervisor", "recorder"
+VICTIMS = (CONTROL, GATEWAY, SUPERVISOR, RECORDER)
+
+_MODULES = {CONTROL: b"rigctl.control", GATEWAY: b"rigctl.gateway.gateway_process", RECORDER: b"rigctl.recorder"}
 
 
 class LiveError(RuntimeError):
@@ -112,7 +114,7 @@ class Live:
         assert self.daemon is not None
         if victim == SUPERVISOR:
             return self.daemon.pid
-        module = {CONTROL: b"rigctl.control", GATEWAY: b"rigctl.gateway.gateway_process"}[victim]
+        module = _MODULES[victim]
         folder = str(self.runtime.directory).encode()
         found: list[int] = []
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from hil.faults.catalogue import BY_ID
 from hil.faults.expected import InjectedFault
 from hil.faults.judge import FaultResult, judge
-from hil.faults.lockstep_run import Bench
+from hil.faults.lockstep_run import Bench, by_start
 from hil.scenario.play import Advance, design
 from hil.study import runner
 from hil.study.runner import Work
@@ -29,10 +29,12 @@ def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: 
     """
     if not rows:
         return []
-    pieces = {(fault.id, mode): Work(_play, (fault.id, mode), f"{fault.id} in {mode.name}") for fault, mode in rows}
+    pieces = {
+        (fault.id, mode): Work(_play, (fault.id, mode), f"{fault.id} in {mode.name}") for fault, mode in by_start(rows)
+    }
     start = (rig, design(rig))
     found = runner.play(pieces, advance, pieces_per_worker=_ROWS_PER_WORKER, start=_start, start_arguments=start)
-    return list(found.values())
+    return [found[fault.id, mode] for fault, mode in rows]
 
 
 def row_of(bench: Bench, fault: InjectedFault, mode: Mode) -> FaultResult:

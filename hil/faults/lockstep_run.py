@@ -2,25 +2,57 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import weakref
+from collections import OrderedDict
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults import stand
+from hil.branching import BranchPoint
+from hil.faults import arming_phases, stand
 from hil.faults.expected import Around, InjectedFault, Reaction
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
+from rigctl.control.clock import SimulatedClock
 from rigctl.control.events import Kind
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 
 Floats = npt.NDArray[np.float64]
 SEED = "faults"
+LEAD_RECORDS = 2500
+"""Records before the fault that are kept with a run: a diagnosis takes the healthy rig from them."""
+_KEPT = 8
+"""Rigs at the start of rows that are kept, 50 MB each."""
+KILLED_S = 1.5
+"""The rig is watched for so long after its loop has been killed: the drive has stopped by then."""
+
+
+class Start(NamedTuple):
+    """All that a row's run depends on before its fault comes."""
+
+    change: tuple[tuple[str, Any], ...]
+    preload_n: float | None
+    phase: str
+    mode: Mode
+    from_start: bool
+
+
+def start_of(around: Around, mode: Mode, from_start: bool) -> Start:
+    """The start of a row."""
+    return Start(around.change, around.preload_n, around.phase, mode, from_start)
+
+
+def by_start(rows: Iterable[tuple[InjectedFault, Mode]]) -> list[tuple[InjectedFault, Mode]]:
+    """Rows in an order in which those with the same start follow one another, so that it is played once."""
+    return sorted(rows, key=lambda row: repr(start_of(row[0].around, row[1], row[0].from_start)))
 
 
 @dataclass(frozen=True)
@@ -46,6 +78,9 @@ class Run:
     before: Any  # the record before the first of them
     trips: tuple[TripEvent, ...]
     refusal: Refusal | None  # of the arm command at the end, where one was given
+    events: npt.NDArray[Any]  # of the loop, from the fault's beginning on
+    lead: npt.NDArray[Any]  # records of the seconds before it
+    dead_from: int | None  # sample from which on the loop was dead: killed at the end where the drive was on; else None
 
 
 class _Watcher:
@@ -63,6 +98,16 @@ class _Watcher:
         self.rows.append((t_s, truth.tension_n, truth.stroke_mm, rig.drive.control.enabled))
 
 
+@dataclass(frozen=True)
+class _Prepared:
+    """A rig in the mode, and the state around, in which faults come."""
+
+    rig: Lockstep
+    branch_point: BranchPoint
+    before: Any  # the last record
+    lead: npt.NDArray[Any]  # records of the seconds before
+
+
 class Bench:
     """Plays rows on a rig and keeps the runs without a fault."""
 
@@ -70,6 +115,8 @@ class Bench:
         self.settings = settings
         self._gains = gains
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
+        self._prepared: OrderedDict[Start, tuple[_Prepared, contextlib.ExitStack]] = OrderedDict()
+        weakref.finalize(self, _close, self._prepared)
 
     def undisturbed(self, fault: InjectedFault, mode: Mode) -> Run:
         """Play a row without its fault."""
@@ -86,31 +133,88 @@ class Bench:
     def _play(
         self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool
     ) -> Run:
-        with lockstep(changed(self.settings, dict(around.change)), self._gains) as rig:
-            subject = Stand(rig, f"{SEED}:{fault.id if fault else ''}:{mode.name}")
-            step: Step | None = None
-            if from_start:
-                stand.start(rig, mode, 0.0)
-                step = fault.inject(subject) if fault else None
-                _to_tensioning(rig)
-            else:
-                stand.start(rig, mode, around.preload_n)
-                stand.enter(rig, mode)
-            before = rig.run(1.0 / rig.settings.loop.rate_hz)[-1]
-            rig.events.read()
-            origin_ns = rig.clock.now()
-            watcher = rig.on_advance = _Watcher(rig)
-            if around.motion is not None:
-                rig.rig.plant.start_motion(around.motion(), rig.rig.plant.t_ns)
-            if fault is not None and not from_start:
-                step = fault.inject(subject)
-            records = _go_on(rig, seconds, step)
-            rig.on_advance = None
-            trips = _trips(rig, origin_ns)
-            refusal = rig.command(Verb.ARM) if arms else None
-        t_s, tension_n, stroke_mm, enabled = map(np.array, zip(*watcher.rows, strict=True))
-        records_t_s = (records["t_ns"] - origin_ns) * 1e-9
-        return Run(t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal)
+        prepared = self._prepare(start_of(around, mode, from_start))
+        seed = f"{SEED}:{fault.id if fault else ''}:{mode.name}"
+        return prepared.branch_point.branch(
+            lambda: _branch(prepared, around, seconds, from_start, fault, seed, arms=arms)
+        )
+
+    def _prepare(self, start: Start) -> _Prepared:
+        """The rig at a start, which is played once for the rows that follow one another."""
+        if start in self._prepared:
+            self._prepared.move_to_end(start)
+            return self._prepared[start][0]
+        if len(self._prepared) >= _KEPT:
+            self._prepared.popitem(last=False)[1][1].close()
+        with contextlib.ExitStack() as opened:
+            rig = opened.enter_context(lockstep(changed(self.settings, dict(start.change)), self._gains))
+            stand.start(rig, start.mode, 0.0 if start.from_start else start.preload_n)
+            if not start.from_start:
+                stand.enter(rig, start.mode)
+                if start.phase:
+                    arming_phases.arm_until(rig, start.phase)
+            before = None if start.from_start else rig.run(1.0 / rig.settings.loop.rate_hz)[-1]
+            lead = _lead(rig)
+            prepared = _Prepared(rig, BranchPoint(rig.runtime.directory), before, lead)
+            self._prepared[start] = prepared, opened.pop_all()
+        return prepared
+
+
+def _close(prepared: OrderedDict[Start, tuple[_Prepared, contextlib.ExitStack]]) -> None:
+    for _, opened in prepared.values():
+        opened.close()
+
+
+def _lead(rig: Lockstep) -> npt.NDArray[Any]:
+    return rig.runtime.records.reader(from_start=True).read()[-LEAD_RECORDS:]
+
+
+def _branch(
+    prepared: _Prepared,
+    around: Around,
+    seconds: float,
+    from_start: bool,
+    fault: InjectedFault | None,
+    seed: str,
+    *,
+    arms: bool,
+) -> Run:
+    rig, before, lead = prepared.rig, prepared.before, prepared.lead
+    subject = Stand(rig, seed)
+    step: Step | None = None
+    if from_start:
+        step = fault.inject(subject) if fault else None
+        _to_tensioning(rig)
+        before, lead = rig.run(1.0 / rig.settings.loop.rate_hz)[-1], _lead(rig)
+    rig.events.read()
+    origin_ns = rig.clock.now()
+    watcher = rig.on_advance = _Watcher(rig)
+    if around.motion is not None:
+        rig.rig.plant.start_motion(around.motion(), rig.rig.plant.t_ns)
+    if fault is not None and not from_start:
+        step = fault.inject(subject)
+    elif fault is None and around.course is not None:
+        step = around.course(subject)
+    records = _go_on(rig, seconds, step)
+    rig.on_advance = None
+    events = rig.events.read()
+    trips = _trips(events, origin_ns)
+    refusal = rig.command(Verb.ARM) if arms else None
+    dead_from = len(watcher.rows) if rig.rig.drive.control.enabled and not arms else None
+    if dead_from is not None:
+        rig.on_advance = watcher
+        kill(rig)
+    t_s, tension_n, stroke_mm, enabled = map(np.array, zip(*watcher.rows, strict=True))
+    records_t_s = (records["t_ns"] - origin_ns) * 1e-9
+    return Run(
+        t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal, events, lead, dead_from
+    )  # fmt: skip
+
+
+def kill(rig: Lockstep) -> None:
+    """The loop is dead from now on: neither RPDO nor heartbeat; the rig goes on for a while."""
+    for _ in range(round(KILLED_S * rig.settings.loop.rate_hz)):
+        SimulatedClock.next_tick(rig.clock)
 
 
 def _to_tensioning(rig: Lockstep) -> None:
@@ -127,18 +231,18 @@ def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]
         if step is not None:
             step((now_ns - start_ns) * 1e-9)
         rig.clock.skip = min(rig.clock.skip, (end_ns - now_ns) // period_ns - 1)
-        rig.loop.tick()
+        rig.tick()
         ticks += 1
         if ticks % 1000 == 0:
             parts.append(rig.read_records())
     return np.concatenate([*parts, rig.read_records()])
 
 
-def _trips(rig: Lockstep, origin_ns: int) -> tuple[TripEvent, ...]:
+def _trips(events: npt.NDArray[Any], origin_ns: int) -> tuple[TripEvent, ...]:
     return tuple(
         TripEvent(
             (int(event["t_ns"]) - origin_ns) * 1e-9, int(event["a"]), float(event["limit"]), event["text"].decode()
         )
-        for event in rig.events.read()
+        for event in events
         if event["kind"] == Kind.TRIP
     )

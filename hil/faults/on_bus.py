@@ -15,6 +15,7 @@ from hil.faults.stand import FindNode, Injector, Stand, Step
 from hil.hub import Port
 from hil.wire import ERROR_FLAG, FRAME
 from rigctl.devices import objects
+from rigctl.devices.process_data import COMMAND, wanted
 
 FULL_LOAD_FRAMES = 7
 """Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
@@ -41,7 +42,7 @@ def silent(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
 
     def inject(stand: Stand) -> None:
         gone = base + find(stand).id
-        stand.rig.hub.tap = lambda _, frame: () if can_id(frame) == gone else (frame,)
+        stand.intercept(lambda _, frame: () if can_id(frame) == gone else (frame,))
 
     return inject
 
@@ -51,7 +52,7 @@ def lost(share: float) -> Injector:
 
     def inject(stand: Stand) -> None:
         draw = stand.random.random
-        stand.rig.hub.tap = lambda _, frame: () if draw() < share else (frame,)
+        stand.intercept(lambda _, frame: () if draw() < share else (frame,))
 
     return inject
 
@@ -60,8 +61,31 @@ def burst(seconds: float) -> Injector:
     """All frames are lost for a while."""
 
     def inject(stand: Stand) -> Step:
-        stand.rig.hub.tap = lambda _, __: ()
-        return stand.ends_after(seconds, lambda: setattr(stand.rig.hub, "tap", None))
+        return stand.ends_after(seconds, stand.intercept(lambda _, __: ()))
+
+    return inject
+
+
+def stalled(seconds: float) -> Injector:
+    """What carries the frames stands still for a while, then delivers all of them at once, as a queue does."""
+
+    def inject(stand: Stand) -> Step:
+        hub, kept = stand.rig.hub, list[tuple[Port, bytes]]()
+
+        def tap(port: Port, frame: bytes) -> Iterable[bytes]:
+            if _from_controller(stand, frame):
+                return (frame,)
+            kept.append((port, frame))
+            return ()
+
+        free = stand.intercept(tap)
+
+        def deliver() -> None:
+            free()
+            for port, frame in kept:
+                hub.put(port, frame)
+
+        return stand.ends_after(seconds, deliver)
 
     return inject
 
@@ -70,9 +94,51 @@ def twice() -> Injector:
     """Every frame arrives twice."""
 
     def inject(stand: Stand) -> None:
-        stand.rig.hub.tap = lambda _, frame: (frame, frame)
+        stand.intercept(lambda _, frame: (frame, frame))
 
     return inject
+
+
+def frozen(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
+    """One device's samples go on with the content of the first of them, to the last bit."""
+
+    def inject(stand: Stand) -> None:
+        ours = base + find(stand).id
+        first: list[bytes] = []
+
+        def tap(_: Port, frame: bytes) -> Iterable[bytes]:
+            if can_id(frame) != ours:
+                return (frame,)
+            if not first:
+                first.append(frame)
+            return first
+
+        stand.intercept(tap)
+
+    return inject
+
+
+def sync_lost() -> Injector:
+    """No device receives SYNC any more; every other frame arrives."""
+
+    def inject(stand: Stand) -> None:
+        stand.intercept(lambda _, frame: () if can_id(frame) == objects.SYNC_COB else (frame,))
+
+    return inject
+
+
+def sync_twice() -> Injector:
+    """Every SYNC reaches the devices twice; the controller, which sends it, does not see that."""
+
+    def inject(stand: Stand) -> None:
+        stand.intercept(lambda _, frame: (frame, frame) if can_id(frame) == objects.SYNC_COB else (frame,))
+
+    return inject
+
+
+def sync_foreign(every: int = 1) -> Injector:
+    """Another node sends SYNC too, in one of ``every`` ticks."""
+    return _sent(lambda _: [FRAME.pack(objects.SYNC_COB, 0, b"")], every)
 
 
 def late(ticks: int) -> Injector:
@@ -94,7 +160,7 @@ def late(ticks: int) -> Injector:
                 _, port, frame = waiting.popleft()
                 hub.put(port, frame)
 
-        hub.tap = tap
+        stand.intercept(tap)
         return step
 
     return inject
@@ -114,7 +180,7 @@ def reordered() -> Injector:
             kept.append(frame)
             return ()
 
-        stand.rig.hub.tap = tap
+        stand.intercept(tap)
 
     return inject
 
@@ -131,7 +197,7 @@ def cut(find: FindNode, share: float) -> Injector:
                 return (FRAME.pack(identifier, size - 1, data),)
             return (frame,)
 
-        stand.rig.hub.tap = tap
+        stand.intercept(tap)
 
     return inject
 
@@ -164,7 +230,7 @@ def babble_loud() -> Injector:
 
     def inject(stand: Stand) -> Step:
         noise = FRAME.pack(_HIGHEST, 8, bytes(8))
-        stand.rig.hub.tap = lambda _, frame: (frame,) if frame == noise else ()
+        stand.intercept(lambda _, frame: (frame,) if frame == noise else ())
 
         def step(_: float) -> None:
             for _n in range(FULL_LOAD_FRAMES):
@@ -187,20 +253,23 @@ def impostor() -> Injector:
 
 def rival() -> Injector:
     """Another controller enables the drive and sends it a speed of its own every tick, after the loop's command."""
-    command = objects.DRIVE_RPDO
-    data = command.codec.pack(objects.Controlword.ENABLE_OPERATION, 5000)
-    return _sent(
-        lambda stand: [FRAME.pack(command.cob_base + stand.settings.cylinder.node, command.size, data + bytes(2))]
-    )
+    values = {objects.CONTROLWORD: objects.Controlword.ENABLE_OPERATION, objects.TARGET_VELOCITY: 5000}
+
+    def frames(stand: Stand) -> list[bytes]:
+        layout = wanted(stand.settings).frames[COMMAND]
+        data = layout.codec.pack(*(values.get(index, 0) for index, _ in layout.objects))
+        return [FRAME.pack(layout.cob_base + stand.settings.cylinder.node, layout.size, data)]
+
+    return _sent(frames)
 
 
-def sdo_write(index: int, sub: int, size: int, value: int = 0) -> Injector:
-    """Another master writes an object of the drive once, as a commissioning tool left connected does."""
+def sdo_write(index: int, sub: int, size: int, value: int = 0, find: FindNode = drive) -> Injector:
+    """Another master writes an object of a device once, as a commissioning tool left connected does."""
 
     def inject(stand: Stand) -> None:
         specifier = 0x23 | (4 - size) << 2
         data = struct.pack("<BHBI", specifier, index, sub, value)
-        stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data))
+        stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + find(stand).id, 8, data))
 
     return inject
 
@@ -233,7 +302,7 @@ def bus_off() -> Injector:
             return ()
 
         stand.rig.inject(FRAME.pack(ERROR_FLAG | _BUS_OFF, 8, bytes(8)))
-        stand.rig.hub.tap = tap
+        stand.intercept(tap)
 
     return inject
 

@@ -20,12 +20,12 @@ import yaml
 from hil.faults import wall_clock
 from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reaction
 from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, FaultResult
-from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, VICTIMS, Live, LiveError, give, live
+from hil.faults.live_rows_rig import CONTROL, GATEWAY, RECORDER, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 
-WATCHED_S = 0.8
+WATCHED_S = 1.5  # longer than the 1 s after which a process without progress is reported
 BACK_S = 30.0
 MOVED_MM = 1.0
 """A fault of a process may move the load by this much at most."""
@@ -85,6 +85,20 @@ def kills(victim: str, number: signal.Signals) -> Interference:
             give(pid, signal.SIGCONT)
 
     return interference
+
+
+@contextmanager
+def all_stopped(rig: Live) -> Any:
+    """Stop supervisor, gateway and recorder together."""
+    pids = list(map(rig.pid, (SUPERVISOR, GATEWAY, RECORDER)))
+    at_ns = time.monotonic_ns()
+    for pid in pids:
+        give(pid, signal.SIGSTOP)
+    try:
+        yield at_ns
+    finally:
+        for pid in pids:
+            give(pid, signal.SIGCONT)
 
 
 @contextmanager
@@ -175,6 +189,8 @@ CATALOGUE = (
     ProcessFault("supervisor_stopped", "the supervisor hangs", kills(SUPERVISOR, signal.SIGSTOP), RIDE),
     ProcessFault("gateway_killed", "the gateway is killed", kills(GATEWAY, signal.SIGKILL), RIDE),
     ProcessFault("gateway_stopped", "the gateway hangs", kills(GATEWAY, signal.SIGSTOP), RIDE),
+    ProcessFault("recorder_stopped", "the recorder hangs", kills(RECORDER, signal.SIGSTOP), RIDE),
+    ProcessFault("all_but_control_stopped", "every process but the loop's hangs", all_stopped, RIDE),
     ProcessFault("disk_full", "no process can write to a file", disk_full, RIDE),
     ProcessFault("clock_forward", "the wall clock jumps forward by a day", clock_stepped(86_400.0), RIDE),
     ProcessFault("clock_back", "the wall clock jumps back by an hour", clock_stepped(-3_600.0), RIDE),

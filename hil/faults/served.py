@@ -197,7 +197,7 @@ class FaultServer:
         if request.for_s is not None and not 0.0 < request.for_s < 1e6:
             raise FaultRefusedError(f"--for: found {request.for_s:g}, expected seconds, above 0")
         if self._standing is not None:
-            raise FaultRefusedError(f"{self._standing.id} still stands: end it first (--end)")
+            raise FaultRefusedError(f"{self._standing.id} is still injected: end it first (--end)")
         if why := hindrance(fault, served=True):
             raise FaultRefusedError(f"{fault.id}: {why}")
         if fault.place == "bus" and not self._of_wire:
@@ -208,7 +208,7 @@ class FaultServer:
 
     def _end(self) -> str:
         if self._standing is None:
-            return "no fault stands"
+            return "no fault is injected"
         self._standing.end()
         words, self._standing = f"{self._standing.id} has ended", None
         return words

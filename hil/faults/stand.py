@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Protocol, TypeVar
 
-from hil.hub import Hub
+from hil.hub import Hub, Port, Tap
 from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.inclinometer import Inclinometer
@@ -123,6 +123,17 @@ class Stand:
     def second(self) -> SecondForceNode:
         """The second force path, in the rows whose rig has one."""
         return _there(self.rig.rig.second_force, "second force path")
+
+    def intercept(self, tap: Tap) -> Callable[[], None]:
+        """Put a defect of the wire behind those it has already; returns what takes this one out again."""
+        before, present = self.rig.hub.tap, [tap]
+
+        def chained(port: Port, frame: bytes) -> Iterable[bytes]:
+            frames = (frame,) if before is None else before(port, frame)
+            return [out for passed in frames for out in present[0](port, passed)] if present else frames
+
+        self.rig.hub.tap = chained
+        return present.clear
 
     def ends_after(self, seconds: float, undo: Callable[[], None]) -> Step:
         """A step that calls ``undo`` once, ``seconds`` after the fault began."""

@@ -95,14 +95,19 @@ def _restoring(rig: FaultyRig) -> list[Callable[[], None]]:
     if rig.hub is not None:
         put_back(rig.hub, "tap")
     put_back(simulated.drive, "defect")
+    put_back(simulated.drive, "rpdo_defect")
+    put_back(simulated.drive, "hung")
     if simulated.second_force is not None:
         put_back(simulated.second_force, "fault_n")
     parameters = np.array(simulated.plant.parameters)
+    undo.append(simulated.drive.brake.restore)
     undo.append(lambda: simulated.plant.parameters.__setitem__(slice(None), parameters))
     if simulated.drive.tool is None:
         undo.append(lambda: simulated.drive.take_over(None))
     if simulated.io is not None:
         io, pressed = simulated.io, simulated.io.e_stop_pressed
+        put_back(io, "welded")
+        put_back(io, "without_power")
         undo.append(lambda: io.press_e_stop(pressed))
     undo.extend(node.putting_back() for node in simulated.nodes)
     return undo

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from pydantic import ValidationError
@@ -13,10 +14,12 @@ from hil.new.rig_sizing import Sized, sized
 from hil.new.rig_text import MODELINE, with_head, with_values
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file, strict_yaml
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import ADDED, RigSettings
 from rigctl.config.wording import Path, Wording, key_of
 from rigctl.design import search
 from rigctl.design.gains import DesignError
+from rigctl.devices import busload
 
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,31}\Z")
 
@@ -52,8 +55,10 @@ def check_name(name: str) -> None:
         raise ScenarioError([f"NAME: found {name!r}, expected a to z, 0 to 9 and _, a letter first, 32 at most"])
 
 
-def make(name: str, decided: DecidedRig) -> NewRig:
+def make(name: str, decided: DecidedRig, bus: Mapping[str, int] | None = None) -> NewRig:
     """The rig with these decisions.
+
+    ``bus``: rate of the loop, bit rate and node ids, by their keys; the paper's where there is none.
 
     Raises:
         ScenarioError: there is no such rig; each line says which setting is out of which bound.
@@ -61,9 +66,16 @@ def make(name: str, decided: DecidedRig) -> NewRig:
     file, settings = paper()
     check_name(name)
     check_together(decided, settings)
-    text = with_values(file.read_text(), sized(name, decided, settings))
+    of_bus = [Sized(tuple(key.split(".")), value, None) for key, value in (bus or {}).items()]
+    settings = changed(settings, bus or {})
+    text = with_values(file.read_text(), [*sized(name, decided, settings), *of_bus])
     text = with_head(text.replace(f"config/{file.name}", f"{name}.yaml"), _head(name, decided))
     found = _settings(text, file.parent)
+    if (load := busload.bus_load(found) or 0.0) > busload.LIMIT:
+        advice = busload.advice(found) or "expected a faster bus, or a slower loop"
+        raise ScenarioError(
+            [f"{name}: bus load {load:.1%} of {found.can.bitrate_bit_s} bit/s, above {busload.LIMIT:.0%}: {advice}"]
+        )
     try:
         searched = search.auto(found)
     except DesignError as error:

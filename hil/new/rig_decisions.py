@@ -11,12 +11,12 @@ from pydantic import Field, TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 
 from hil.scenario.errors import ScenarioError
+from rigctl.config.bounds import GRAVITY_MM_S2
 from rigctl.config.quantity import unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.wording import KeyType
 
-G_M_S2 = 9.80665
 LIFTING = 1.1
 """Largest target over the payload's weight: the paper's is 1.02; a larger one pulls at the mechanism from above."""
 LONGEST_S = 40.0
@@ -126,7 +126,7 @@ def check_together(decided: DecidedRig, paper: RigSettings) -> None:
     Raises:
         ScenarioError: one line.
     """
-    weight_n = G_M_S2 * decided.payload_kg
+    weight_n = 1e-3 * GRAVITY_MM_S2 * decided.payload_kg
     if decided.target_n > LIFTING * weight_n:
         raise ScenarioError([
             f"--target: found {decided.target_n:g}, expected at most {LIFTING * weight_n:.3g} N: "

@@ -10,8 +10,8 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from hil.new.rig_decisions import G_M_S2, DecidedRig
-from rigctl.config.bounds import BLIND_MM, SAMPLES
+from hil.new.rig_decisions import DecidedRig
+from rigctl.config.bounds import BLIND_MM, GRAVITY_MM_S2, SAMPLES
 from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Path
 
@@ -51,7 +51,7 @@ def _forces(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
         size for decade in range(-1, 6) for unit in _RANGES
         if (size := unit * 10.0**decade) >= _HEADROOM * high_n * (1.0 - 1e-9)
     )  # fmt: skip
-    weight_n = round(G_M_S2 * decided.payload_kg, 1)
+    weight_n = round(1e-3 * GRAVITY_MM_S2 * decided.payload_kg, 1)
     yield Sized(("plant", "payload_kg"), decided.payload_kg)
     yield Sized(("plant", "spring_n_mm"), decided.spring_n_mm)
     yield Sized(("tension", "target_n"), target_n)
@@ -65,7 +65,7 @@ def _forces(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
     noise_n = _round(cell.noise_n * range_n / cell.range_n)
     yield Sized(("tension_cell", "noise_n"), noise_n, "rms at the loop rate, in proportion to the range")
     known_n = weight_n if weight_n <= high_n else target_n
-    yield Sized(("calibration", "reference_n"), known_n, f"{known_n / G_M_S2:.4g} kg x 9.80665")
+    yield Sized(("calibration", "reference_n"), known_n, f"{1e3 * known_n / GRAVITY_MM_S2:.4g} kg x 9.80665")
     yield Sized(("calibration", "tare_limit_n"), _round(share * calibration.tare_limit_n))
     for at, row in enumerate(paper.limits):
         if row.signal in ("vertical_error_n", "tension_rate_n_s", "tension_n"):
@@ -76,12 +76,19 @@ def _forces(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
     for key, factor in (("force_n_a", max(1.0, share)), ("friction_n", share), ("creep_n_s_mm", max(1.0, share)),
                         ("seating_load_n", less)):  # fmt: skip
         yield Sized(("simulation", "drive", key), _round(factor * getattr(drive, key)))
+    if (per_ampere_n := paper.cylinder.force_per_ampere_n) is not None:
+        yield Sized(("cylinder", "force_per_ampere_n"), _round(max(1.0, share) * per_ampere_n))
     for part in ("rail", "pulley"):  # sized with the load: the rope swings as the paper's
         for key in ("mass_kg", "viscous_n_s_m"):
             yield Sized(("simulation", part, key), _round(share * getattr(getattr(simulation, part), key)))
     spring = decided.spring_n_mm / (paper.plant.spring_n_mm or decided.spring_n_mm)
-    damping = _round(spring * simulation.rope.damping_n_s_mm)
-    yield Sized(("simulation", "rope", "damping_n_s_mm"), damping, "the same loss in proportion to the stiffness")
+    if (as_one := simulation.rope.damping_n_s_mm) is not None:
+        damping = _round(spring * as_one)
+        yield Sized(("simulation", "rope", "damping_n_s_mm"), damping, "the same loss in proportion to the stiffness")
+    mass = decided.payload_kg / paper.plant.payload_kg
+    for key, stiffer in (("spring_damping_n_s_mm", spring), ("rope_damping_n_s_mm", 1.0)):
+        damping = _round(getattr(paper.plant, key) * math.sqrt(stiffer * mass))
+        yield Sized(("plant", key), damping, "the paper's share of critical, the payload on it")
     drift = _round(share * simulation.cell.drift_n_h)
     yield Sized(("simulation", "cell", "drift_n_h"), drift)
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+GRID_NS = 1_000_000
+"""Drive ramps, brake, encoder, filters, inclinometer, plain frames and truth log go on this grid, however often the rig
+is advanced."""
+
 
 class DeviceClock:
     """Reads as the rig's clock at ``start_ns`` and gains ``ppm`` parts per million on it from there."""

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from hil.nodes.brake import Brake
+from hil.nodes.clock import GRID_NS
 from hil.nodes.deadline import Deadline
 from hil.nodes.device_control import PROFILE_DECELERATION, QUICK_STOP_OPTIONS, DeviceControl
 from hil.nodes.dictionary import Abort, number, refuse
 from hil.nodes.drive_states import command_of
 from hil.nodes.encoder import Encoder
+from hil.nodes.heartbeat_consumer import HeartbeatConsumer
 from hil.nodes.motor import Motor
 from hil.nodes.network import RigNetwork
 from hil.nodes.node import COMMUNICATION_ERROR, GENERIC_ERROR, Node
 from hil.nodes.pdo import ReceivePdo
 from hil.nodes.power_stage import PowerStage, StagePhase
+from hil.nodes.speed_loop import IdealSpeedControl, SpeedControl, SpeedLoop
 from hil.plant import Plant
 from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import DriveSettings, SimulationSettings
@@ -31,6 +36,12 @@ _FAULT_REACTION = 1  # value of 0x6007: react as 0x605E says
 LOWER_LIMIT, UPPER_LIMIT, HOME, E_STOP_CLOSED = 1 << 0, 1 << 1, 1 << 2, 1 << 16
 """Bits of the digital inputs (0x60FD); the emergency stop's circuit is closed while it is not pressed."""
 HOME_MM = 1.0
+PEAK_PER_RATED = 3.0
+"""Peak torque of servo motors, per rated torque."""
+SYNCS_MISSED = 20
+"""Periods (0x1006) without SYNC after which this drive calls it lost; CiA 301 leaves the number to the device."""
+_GRID_S = GRID_NS * 1e-9
+_NS_PER_MS = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -49,9 +60,10 @@ class ServiceTool:
 class CylinderDrive(Node):
     """The drive on the bus. ``advance`` is called on the rig's fixed grid, ``on_sync`` at each SYNC.
 
-    Heartbeat loss (0x1016), a missed RPDO deadline (0x1400:05) and leaving NMT OPERATIONAL while enabled are answered
-    by the abort connection option (0x6007). An emergency stop is a fault of its own: emergency, fault
-    reaction (0x605E), brake; nothing enables the drive or clears the fault while it is pressed.
+    Heartbeat loss (0x1016), a missed RPDO deadline (0x1400:05), loss of SYNC (0x1006, where there is one) and leaving
+    NMT OPERATIONAL while enabled are answered by the abort connection option (0x6007). An emergency stop is a fault of
+    its own: emergency, fault reaction (0x605E), brake; nothing enables the drive or clears the fault while it is
+    pressed. Its input for safe torque off (`enable_by_wire`) takes the motor's power away at once and closes the brake.
     """
 
     def __init__(
@@ -61,8 +73,14 @@ class CylinderDrive(Node):
         drive = simulation.drive
         super().__init__(network, cylinder.node, settings.file(cylinder.eds), plant, SERIAL, drive.clock_ppm)
         self._encoder = Encoder(plant, drive.encoder_mm)
-        stage = PowerStage(drive.brake_ms * 1_000_000)
-        self._motor = Motor(drive, number(self.device, objects.MOTOR_RATED_CURRENT))
+        stage = PowerStage(drive.brake_ms * _NS_PER_MS, Brake(*(ms * _NS_PER_MS for ms in drive.brake_times_ms)))
+        rated_ma = number(self.device, objects.MOTOR_RATED_CURRENT)
+        self._motor = Motor(drive, rated_ma)
+        rated_n = rated_ma * objects.A_PER_RATED_CURRENT_UNIT * drive.force_n_a
+        self._n_per_torque_unit = rated_n * objects.PER_TORQUE_UNIT * (1.0 - drive.preload_error_pct * 1e-2)
+        self._speed_control = _speed_control(drive, PEAK_PER_RATED * rated_n)
+        self._carries = False  # the motor alone, on the force that it had when the brake let go
+        self._yielding_mm_s = 0.0
         self._creep_n_s_mm = drive.creep_n_s_mm
         self.e_stop_pressed = False
         own = drive.increments_per_mm
@@ -70,10 +88,11 @@ class CylinderDrive(Node):
         self.control = DeviceControl(
             stage, lambda index: number(self.device, index), self._clear_faults, unit_mm_s2=self._unit_mm
         )
-        self._heartbeat = Deadline()
-        self._heartbeat_cob = 0
+        self._heartbeat = HeartbeatConsumer(network)
         self._commands_due = Deadline()
+        self._sync_due = Deadline()
         self._target = self._offset = 0
+        self._position_sign = self._velocity_sign = 1
         self._mode = 0
         self._error_code = 0
         self._speed_max_mm_s = drive.speed_mm_s
@@ -81,7 +100,11 @@ class CylinderDrive(Node):
         self._received: bytes | None = None
         self._rpdo: ReceivePdo | None = None
         self.defect: Callable[[float, bool], tuple[float, bool]] | None = None
-        """Defect of motor and brake: maps the right speed (mm/s) and brake (whether it holds) to the actual ones."""
+        """Defect of the motor: maps its right speed (mm/s) and whether the brake holds to the actual ones."""
+        self.rpdo_defect: Callable[[bytes], bytes | None] | None = None
+        """Defect of the application behind the CAN controller: maps a received RPDO to what it takes; None: nothing."""
+        self.hung = False
+        """Defect of the same: nothing on the bus, and no loss of it, changes what the motor does."""
         self.readers.update(
             {
                 (objects.STATUSWORD, 0): self._statusword,
@@ -104,10 +127,13 @@ class CylinderDrive(Node):
                 (objects.CONTROLWORD, 0): self._obey,
                 (objects.TARGET_VELOCITY, 0): self._set_target,
                 (objects.VELOCITY_OFFSET, 0): self._set_offset,
+                (objects.TORQUE_OFFSET, 0): self._set_torque_offset,
+                (objects.POLARITY, 0): self._set_polarity,
                 (objects.MODE_OF_OPERATION, 0): self._set_mode,
                 (objects.QUICK_STOP_OPTION, 0): _check_quick_stop_option,
-                (objects.CONSUMER_HEARTBEAT, 1): self._watch_heartbeat,
+                (objects.CONSUMER_HEARTBEAT, 1): self._heartbeat.watch,
                 (objects.RPDO1_COMMUNICATION, 5): self._commands_due.set_limit_ms,
+                (objects.CYCLE_PERIOD, 0): self._watch_sync,
             }
         )
 
@@ -130,6 +156,7 @@ class CylinderDrive(Node):
 
     def on_sync(self) -> None:
         """Act on the RPDO received since the last SYNC and drive at the target velocity; then send the TPDO."""
+        self._sync_due.renew()
         if self._received is not None and self._rpdo is not None:
             received, self._received = self._received, None
             self._rpdo.apply(received)
@@ -141,18 +168,44 @@ class CylinderDrive(Node):
         super().on_sync()
 
     def advance(self, t_ns: int) -> None:
-        """Measure speed and current; advance ramps and the brake to ``t_ns``."""
+        """Measure speed and current; advance ramps, brake and the motor's torque to ``t_ns``."""
         self._encoder.advance()
         self.control.advance(t_ns, self._encoder.speed_mm_s)
+        self._motor.advance(t_ns, self._force_n(), self.control.stage.velocity_mm_s)
         self._drive()
-        stage, truth = self.control.stage, self.plant.truth
-        self._motor.advance(t_ns, truth.tension_n if stage.powered else 0.0, stage.velocity_mm_s)
+
+    def _force_n(self) -> float:
+        """The motor's force now; over the grid step that begins, the load may turn the motor back."""
+        stage, load_n, control = self.control.stage, self.plant.truth.tension_n, self._speed_control
+        carried, self._carries = self._carries, stage.powered and not self.brake.closed
+        self._yielding_mm_s = 0.0
+        if not stage.powered:
+            control.switch_off()
+            return 0.0
+        if not self._carries:
+            control.wind_up(stage.velocity_mm_s * _GRID_S)
+            return control.against_brake(load_n)
+        if not carried:
+            control.take_over(load_n, self.brake.drag_n)
+        way_mm, excess_n = control.carry(_GRID_S)
+        self._yielding_mm_s = way_mm / _GRID_S
+        drag_n = math.copysign(self.brake.drag_n, stage.velocity_mm_s) if stage.velocity_mm_s else 0.0
+        return load_n + excess_n + drag_n
+
+    @property
+    def brake(self) -> Brake:
+        """The holding brake on the motor's shaft."""
+        return self.control.stage.brake
 
     def press_e_stop(self, pressed: bool) -> None:
         """Open the emergency stop's circuit, or close it again."""
         self.e_stop_pressed = pressed
         if pressed:
             self.trip(EmcyCode.EXTERNAL)
+
+    def enable_by_wire(self, on: bool) -> None:
+        """The input for safe torque off: closed (True), or open."""
+        self.control.safe_torque_off(not on, self.now_ns)
 
     def take_over(self, tool: ServiceTool | None) -> None:
         """Let a service tool at the drive's own port enable and move the drive; None withdraws it."""
@@ -162,28 +215,36 @@ class CylinderDrive(Node):
 
     @property
     def _target_mm_s(self) -> float:
-        return (self._target + self._offset) * self._unit_mm
+        return (self._target + self._offset) * self._velocity_sign * self._unit_mm
 
     def _drive(self) -> None:
-        stage = self.control.stage
-        falling = stage.phase is StagePhase.FALLING
-        speed_mm_s = -self.plant.truth.tension_n / self._creep_n_s_mm if falling else stage.velocity_mm_s
-        if self.defect is None:
-            self.plant.set_drive(speed_mm_s, stage.braked)
-        else:
-            self.plant.set_drive(*self.defect(speed_mm_s, stage.braked))
+        stage, brake, load_n = self.control.stage, self.brake, self.plant.truth.tension_n
+        speed_mm_s, held = stage.velocity_mm_s, brake.closed
+        yielding_mm_s = self._yielding_mm_s
+        if held and brake.slip_mm_s and load_n > 0.0:
+            yielding_mm_s, held = -brake.slip_mm_s, False
+        elif not (held or stage.powered):
+            speed_mm_s = -load_n / self._creep_n_s_mm
+        if self.defect is not None:
+            speed_mm_s, held = self.defect(speed_mm_s, held)
+        self.plant.set_drive(speed_mm_s, held, yielding_mm_s)
 
     def _on_rpdo(self, _: int, data: bytes, __: float) -> None:
         rpdo = self._rpdo
         if rpdo is None or self.nmt_state is not NmtState.OPERATIONAL or len(data) < rpdo.size:
             return
         self._commands_due.renew()
+        taken = data if self.rpdo_defect is None else self.rpdo_defect(data)
+        if taken is None or self.hung:
+            return
         if rpdo.synchronous:
-            self._received = data
+            self._received = taken
         else:
-            rpdo.apply(data)
+            rpdo.apply(taken)
 
     def _obey(self, controlword: int) -> None:
+        if self.hung:
+            return
         tool = self.tool
         if tool is not None and (tool.deaf or command_of(controlword, self.control.controlword) not in _STOP_COMMANDS):
             self.control.controlword = controlword
@@ -195,6 +256,15 @@ class CylinderDrive(Node):
 
     def _set_offset(self, velocity_um_s: int) -> None:
         self._offset = velocity_um_s
+
+    def _set_torque_offset(self, per_mille: int) -> None:
+        """0x60B2, of the rated torque: a preload while the brake opens, so that the load does not turn the motor."""
+        self._speed_control.offset_n = per_mille * self._n_per_torque_unit
+
+    def _set_polarity(self, polarity: int) -> None:
+        """0x607E; it counts at once, also while the motor turns."""
+        self._position_sign = -1 if polarity & objects.POSITION_POLARITY else 1
+        self._velocity_sign = -1 if polarity & objects.VELOCITY_POLARITY else 1
 
     def _set_mode(self, mode: int) -> None:
         if mode not in MODES:
@@ -210,6 +280,8 @@ class CylinderDrive(Node):
             self._lose_connection(EmcyCode.HEARTBEAT_LOST)
         if self._commands_due.runs_out(elapsed_ns):
             self._lose_connection(EmcyCode.RPDO_TIMEOUT)
+        if self._sync_due.runs_out(elapsed_ns):
+            self._lose_connection(EmcyCode.SYNC_LOST)
         if self.errors and not self.control.faulty:
             self._clear_faults()  # 0x6007 demands no fault: the error ends with its cause
 
@@ -217,6 +289,7 @@ class CylinderDrive(Node):
         """Leaving OPERATIONAL while enabled is a lost connection; the wait for commands starts again."""
         super().on_state(before, now)
         self._commands_due.restart()
+        self._sync_due.restart()
         self._received = None
         if before is NmtState.OPERATIONAL and self.control.enabled:
             self._lose_connection(EmcyCode.COMMUNICATION)
@@ -225,16 +298,22 @@ class CylinderDrive(Node):
         """Objects at their defaults; the state machine starts anew, once a motor that was on has been stopped."""
         self._mode = number(self.device, objects.MODE_OF_OPERATION)
         self._target = 0
-        has_offset = objects.VELOCITY_OFFSET in self.device.object_dictionary  # optional in the profile
-        self._offset = number(self.device, objects.VELOCITY_OFFSET) if has_offset else 0
+        self._offset = self._optional(objects.VELOCITY_OFFSET)
+        self._set_torque_offset(self._optional(objects.TORQUE_OFFSET))
+        self._set_polarity(self._optional(objects.POLARITY))
         self._error_code = 0
         self.control.restart(self.now_ns)
         if self.e_stop_pressed:
             self.trip(EmcyCode.EXTERNAL)
 
+    def _optional(self, index: int) -> int:
+        """Default of an object that the profile leaves optional, 0 without it."""
+        return number(self.device, index) if index in self.device.object_dictionary else 0
+
     def on_communication_reset(self) -> None:
-        """Heartbeat consumer and RPDO deadline at their defaults: off."""
-        self._watch_heartbeat(number(self.device, objects.CONSUMER_HEARTBEAT, 1))
+        """Heartbeat consumer, RPDO deadline and SYNC's period at their defaults: off."""
+        self._watch_sync(self._optional(objects.CYCLE_PERIOD))
+        self._heartbeat.watch(number(self.device, objects.CONSUMER_HEARTBEAT, 1))
         self._commands_due.set_limit_ms(number(self.device, objects.RPDO1_COMMUNICATION, 5))
 
     def on_pdo_change(self) -> None:
@@ -247,19 +326,9 @@ class CylinderDrive(Node):
         if self._rpdo.valid:
             self.network.subscribe(self._rpdo.cob_id, self._on_rpdo)
 
-    def _watch_heartbeat(self, entry: int) -> None:
-        """0x1016:01: node id in bits 16 to 22, time in ms below; a 0 in either turns supervision off."""
-        if self._heartbeat_cob:
-            self.network.unsubscribe(self._heartbeat_cob, self._on_heartbeat)
-        node, limit_ms = entry >> 16 & 0x7F, entry & 0xFFFF
-        self._heartbeat_cob = objects.HEARTBEAT_BASE + node if node and limit_ms else 0
-        self._heartbeat.set_limit_ms(limit_ms if node else 0)
-        if self._heartbeat_cob:
-            self.network.subscribe(self._heartbeat_cob, self._on_heartbeat)
-
-    def _on_heartbeat(self, _: int, data: bytes, __: float) -> None:
-        if data and data[0] != NmtState.BOOT_UP:
-            self._heartbeat.renew()
+    def _watch_sync(self, period_us: int) -> None:
+        """0x1006: SYNC is lost when so many periods pass without one; 0 turns supervision off."""
+        self._sync_due.set_limit_ns(SYNCS_MISSED * period_us * 1000)
 
     @property
     def stopping(self) -> bool:
@@ -275,11 +344,14 @@ class CylinderDrive(Node):
     def _lose_connection(self, code: EmcyCode) -> None:
         self._error_code = code
         self.raise_error(code, COMMUNICATION_ERROR)
+        if self.hung:
+            return
         self.control.lose_connection(number(self.device, objects.ABORT_CONNECTION_OPTION), self.now_ns)
 
     def _clear_faults(self) -> bool:
         """Drop the errors if no cause is left; returns whether it did."""
-        if self._heartbeat.overdue or self._commands_due.overdue or self.e_stop_pressed:
+        missed = (self._heartbeat, self._commands_due, self._sync_due)
+        if self.e_stop_pressed or any(deadline.overdue for deadline in missed):
             return False
         for code in self.errors:
             self.clear_error(code)
@@ -309,16 +381,22 @@ class CylinderDrive(Node):
         return bits | (0 if self.e_stop_pressed else E_STOP_CLOSED)
 
     def _position(self) -> int:
-        return round(self._encoder.position_mm / self._unit_mm)
+        return self._position_sign * round(self._encoder.position_mm / self._unit_mm)
 
     def _velocity(self) -> int:
-        return round(self._encoder.speed_mm_s / self._unit_mm)
+        return self._velocity_sign * round(self._encoder.speed_mm_s / self._unit_mm)
 
     def _velocity_16(self) -> int:
-        units = round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)
+        units = self._velocity_sign * round(self._encoder.speed_mm_s / objects.MM_S_PER_VELOCITY_16_UNIT)
         return min(max(units, -_INT16_MAX), _INT16_MAX)
 
 
 def _check_quick_stop_option(option: int) -> None:
     if option not in QUICK_STOP_OPTIONS:
         raise refuse(Abort.VALUE_RANGE)
+
+
+def _speed_control(drive: DriveSettings, most_n: float) -> SpeedControl:
+    if drive.speed_loop_hz is None:
+        return IdealSpeedControl()
+    return SpeedLoop(drive.moved_kg, drive.speed_loop_hz, most_n)

@@ -1,4 +1,4 @@
-"""Supervision of silence: the consumer heartbeat (0x1016) and the RPDO deadline (0x1400:05) of CiA 301."""
+"""Supervision of silence: consumer heartbeat (0x1016), RPDO deadline (0x1400:05) and SYNC (0x1006) of CiA 301."""
 
 from __future__ import annotations
 
@@ -16,7 +16,11 @@ class Deadline:
 
     def set_limit_ms(self, limit_ms: int) -> None:
         """Longest silence allowed; 0 turns the deadline off. Starts afresh."""
-        self._limit_ns = limit_ms * 1_000_000
+        self.set_limit_ns(limit_ms * 1_000_000)
+
+    def set_limit_ns(self, limit_ns: int) -> None:
+        """The same in nanoseconds."""
+        self._limit_ns = limit_ns
         self.restart()
 
     def renew(self) -> None:

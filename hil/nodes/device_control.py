@@ -50,6 +50,7 @@ class DeviceControl:
         self._unit_mm_s2 = unit_mm_s2
         self._clear_faults = clear_faults
         self._enabling = False
+        self._torque_off = False
 
     @property
     def enabled(self) -> bool:
@@ -66,7 +67,7 @@ class DeviceControl:
         command = command_of(controlword, self.controlword)
         self.controlword = controlword
         target = next_state(self.state, command)
-        if target is None:
+        if target is None or (self._torque_off and self.state is DriveState.SWITCH_ON_DISABLED):
             return
         if target is DriveState.OPERATION_ENABLED:
             if may_enable:
@@ -83,6 +84,14 @@ class DeviceControl:
         elif self.state in WHEN_STOPPED and self.stage.phase is StagePhase.BRAKED and not self._stays():
             self.state = WHEN_STOPPED[self.state]
 
+    def safe_torque_off(self, active: bool, t_ns: int) -> None:
+        """IEC 61800-5-2 STO: the motor has no torque, its brake closes, and SWITCH ON DISABLED is kept meanwhile."""
+        self._torque_off = active
+        if active and not self.faulty:
+            self._stop(DriveState.SWITCH_ON_DISABLED, _CUT, t_ns)
+        elif active:
+            self.stage.cut(t_ns)
+
     def restart(self, t_ns: int) -> None:
         """Node reset, transitions 0 and 1; a motor that is on is stopped first."""
         self.controlword = 0
@@ -90,7 +99,7 @@ class DeviceControl:
 
     def enable_locally(self, t_ns: int) -> None:
         """Enable the drive from its own port; not from a fault, and not while the motor stops."""
-        if self.state in OFF_STATES or self.state is DriveState.SWITCHED_ON:
+        if not self._torque_off and (self.state in OFF_STATES or self.state is DriveState.SWITCHED_ON):
             self.state = DriveState.SWITCHED_ON
             self._enable(t_ns)
 

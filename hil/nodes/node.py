@@ -15,6 +15,7 @@ from hil.nodes.dictionary import STRUCT_CODES, Abort, check_range, number, refus
 from hil.nodes.network import RigNetwork
 from hil.nodes.pdo import Address, TransmitPdo, check_cob_id_write, check_inhibit_write, check_mapping_write
 from hil.plant import Plant
+from hil.wire import STANDARD_MASK
 from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import NmtState
@@ -28,6 +29,7 @@ _SDO_SIZE = 8
 _SEGMENT_REQUESTS = frozenset({0x00, 0x60})  # client command specifiers that continue a transfer
 _BLOCK_TRANSFERS = frozenset({0xA0, 0xC0})  # upload, download: optional in CiA 301, and these devices have none
 _MULTIPLEXER = struct.Struct("<HB")
+_SYNC_CONSUMED_ALWAYS = 1 << 31  # bit of 0x1005 without a meaning
 _INHIBIT_TIME = 3  # sub-index
 _COMMUNICATION_AREA = range(0x1000, 0x2000)
 _TPDO_MAPPINGS = range(objects.TPDO1_MAPPING, objects.TPDO1_MAPPING + objects.PDOS)
@@ -93,12 +95,14 @@ class Node:
         }
         self.writers: dict[Address, Callable[[int], None]] = {
             (objects.PRODUCER_HEARTBEAT, 0): self._set_heartbeat,
+            (objects.SYNC_COB_ID, 0): self.listen_to_sync,
             (ERROR_FIELD, 0): self._clear_history,
         }
         self._errors: dict[int, int] = {}
         self._history: deque[int] = deque(maxlen=ERROR_FIELD_LENGTH)
         self._heartbeat_ns = 0
         self._heartbeat_due_ns = 0
+        self._sync_cob: int | None = None
         self._tpdos: list[TransmitPdo] = []  # empty: to be compiled anew
         self._tpdo_places = [i for i, index in enumerate(_TPDO_MAPPINGS) if index in self.device.object_dictionary]
         self._manner = DevicesSettings()
@@ -170,6 +174,7 @@ class Node:
         for index in [i for i in self.device.data_store if i in _COMMUNICATION_AREA]:
             del self.device.data_store[index]
         self._enter(NmtState.BOOT_UP)
+        self.listen_to_sync(number(self.device, objects.SYNC_COB_ID))
         self.on_communication_reset()
         self.on_pdo_change()
         self.network.send_message(objects.HEARTBEAT_BASE + self.id, bytes([NmtState.BOOT_UP]))
@@ -212,6 +217,27 @@ class Node:
         if not self._tpdos:
             self._tpdos = [TransmitPdo(self.device, self.readers, place) for place in self._tpdo_places]
         return self._tpdos
+
+    def listen_to_sync(self, entry: int | None) -> None:
+        """0x1005: the identifier of the frames that are SYNC to this device from now on; None: no frame is."""
+        if entry is not None and entry & ~_SYNC_CONSUMED_ALWAYS > STANDARD_MASK:
+            raise refuse(Abort.VALUE_RANGE)  # these devices send no SYNC and take no extended one
+        cob = None if entry is None else entry & STANDARD_MASK
+        if cob == self._sync_cob:
+            return  # keeps the place among the devices that one SYNC makes send
+        if self._sync_cob is not None:
+            self.network.unsubscribe(self._sync_cob, self._on_sync_frame)
+        self._sync_cob = cob
+        if cob is not None:
+            self.network.subscribe(cob, self._on_sync_frame)
+
+    @property
+    def hears_sync(self) -> bool:
+        """Whether any frame is SYNC to it."""
+        return self._sync_cob is not None
+
+    def _on_sync_frame(self, _: int, __: bytes, ___: float) -> None:
+        self.on_sync()
 
     def on_sync(self) -> None:
         """Send the TPDOs that are due at this SYNC."""
@@ -291,8 +317,8 @@ class Node:
         self._tpdos.clear()
 
     def putting_back(self) -> Callable[[], None]:
-        """What undoes, when called, every `distort` and the loss of the heartbeat after this moment."""
-        readers, heartbeat_ns = dict(self.readers), self._heartbeat_ns
+        """What undoes, when called, every `distort` and the loss of heartbeat or SYNC after this moment."""
+        readers, heartbeat_ns, sync_cob = dict(self.readers), self._heartbeat_ns, self._sync_cob
 
         def undo() -> None:
             self.readers.clear()
@@ -300,6 +326,8 @@ class Node:
             self._tpdos.clear()
             if not self._heartbeat_ns:
                 self._set_heartbeat(heartbeat_ns // 1_000_000)
+            if self._sync_cob is None:
+                self.listen_to_sync(sync_cob)
 
         return undo
 

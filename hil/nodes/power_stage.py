@@ -1,9 +1,11 @@
-"""Motor and brake of the cylinder: either or both carry the load; after a cut the brake alone catches it."""
+"""The drive's sequence of motor and brake: either or both carry the load; after a cut the brake catches it."""
 
 from __future__ import annotations
 
 import math
 from enum import Enum, auto
+
+from hil.nodes.brake import Brake
 
 STANDSTILL_MM_S = 0.05
 """The brake closes below this speed."""
@@ -13,24 +15,29 @@ class StagePhase(Enum):
     """What carries the load."""
 
     BRAKED = auto()  # brake closed, motor off
-    OPENING = auto()  # motor holds, brake opens
+    OPENING = auto()  # motor on, the drive waits for the brake to open
     DRIVING = auto()  # motor follows the command
     STOPPING = auto()  # motor ramps down to standstill
-    CLOSING = auto()  # motor holds, brake closes
+    CLOSING = auto()  # motor holds, the drive waits for the brake to close
     FALLING = auto()  # motor off, its windings shorted; brake closes
+
+
+_BRAKE_ENERGISED = frozenset({StagePhase.OPENING, StagePhase.DRIVING, StagePhase.STOPPING})
 
 
 class PowerStage:
     """Phases in time; velocities in mm/s.
 
     Args:
-        brake_ns: time the brake takes to open or to close.
+        delay_ns: time for which the drive waits for the brake to open or to close.
+        brake: the brake itself; by default, one that takes just as long.
     """
 
-    __slots__ = ("_brake_ns", "_deceleration", "_since_ns", "_start_velocity", "phase", "velocity_mm_s")
+    __slots__ = ("_deceleration", "_delay_ns", "_since_ns", "_start_velocity", "brake", "phase", "velocity_mm_s")
 
-    def __init__(self, brake_ns: int) -> None:
-        self._brake_ns = brake_ns
+    def __init__(self, delay_ns: int, brake: Brake | None = None) -> None:
+        self._delay_ns = delay_ns
+        self.brake = brake or Brake(delay_ns, delay_ns)
         self._since_ns = 0
         self._start_velocity = 0.0
         self._deceleration = math.inf
@@ -39,8 +46,8 @@ class PowerStage:
 
     @property
     def braked(self) -> bool:
-        """Whether the brake alone holds the load, or still does."""
-        return self.phase in (StagePhase.BRAKED, StagePhase.OPENING)
+        """Whether the brake is closed."""
+        return self.brake.closed
 
     @property
     def powered(self) -> bool:
@@ -74,10 +81,11 @@ class PowerStage:
             self.velocity_mm_s = 0.0
             self._change(StagePhase.FALLING, t_ns)
         elif self.phase is StagePhase.CLOSING:
-            self.phase = StagePhase.FALLING  # the brake goes on closing
+            self.phase = StagePhase.FALLING  # the wait for the brake goes on
 
     def advance(self, t_ns: int, speed_mm_s: float) -> None:
         """Advance to ``t_ns``; ``speed_mm_s`` is the cylinder's actual speed."""
+        self.brake.advance(t_ns)
         passed_ns = t_ns - self._since_ns
         if self.phase is StagePhase.STOPPING:
             left = abs(self._start_velocity) - self._deceleration * passed_ns * 1e-9 if passed_ns > 0 else math.inf
@@ -86,11 +94,12 @@ class PowerStage:
             if left == 0.0 and abs(speed_mm_s) < STANDSTILL_MM_S:
                 self.velocity_mm_s = 0.0
                 self._change(StagePhase.CLOSING, t_ns)
-        elif self.phase is StagePhase.OPENING and passed_ns >= self._brake_ns:
+        elif self.phase is StagePhase.OPENING and passed_ns >= self._delay_ns:
             self._change(StagePhase.DRIVING, t_ns)
-        elif self.phase in (StagePhase.CLOSING, StagePhase.FALLING) and passed_ns >= self._brake_ns:
+        elif self.phase in (StagePhase.CLOSING, StagePhase.FALLING) and passed_ns >= self._delay_ns:
             self._change(StagePhase.BRAKED, t_ns)
 
     def _change(self, phase: StagePhase, t_ns: int) -> None:
         self.phase = phase
         self._since_ns = t_ns
+        self.brake.energise(phase in _BRAKE_ENERGISED, t_ns)

@@ -78,6 +78,7 @@ class StretchEncoder(SecondForceNode):
     ) -> None:
         super().__init__(network, settings, simulation, plant, ENCODER_SERIAL)
         self._n_mm = _spring_n_mm(self._section)
+        self._gauss = random.Random(f"{simulation.seed}:stretch").gauss
         self._step_nm = self._position = 0
         self.readers[objects.ENCODER_POSITION, 0] = lambda: self._position
         self.writers[objects.ENCODER_STEP, 1] = self._set_step
@@ -89,6 +90,7 @@ class StretchEncoder(SecondForceNode):
     def on_sample(self) -> None:
         """Count the place of the lower end."""
         place_mm = ORIGIN_MM + self.plant.truth.stroke_mm - self.felt_n / self._n_mm
+        place_mm += self._gauss(0.0, self._section.noise_um * 1e-3)
         self._position = int(place_mm * objects.NM_PER_MM // self._step_nm)
 
     def _set_step(self, value: int) -> None:

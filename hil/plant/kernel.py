@@ -114,6 +114,7 @@ def cylinder(p: Any, x: Any, h: float, command: float, braked: bool) -> None:
         else:
             reached = v + math.copysign(p.drive_acceleration * h, reached - v)
             motor = x.motor + 0.5 * (v + reached) * h
+        motor += x.yielding * h
         if motor <= p.stroke_low or motor >= p.stroke_high:
             motor = min(max(motor, p.stroke_low), p.stroke_high)
             reached = 0.0
@@ -444,7 +445,7 @@ def observe(
     lower_x, lower_y = out * cm - ut * sm, out * sm + ut * cm
     drop = p.rope_length + level + p.rail_slope * (r - p.radius) + gz - high - uz
     length, cosine = chain(nodes, count, upper_x, upper_y, lower_x, lower_y, drop, pulls)
-    stroke_rate = 0.0 if braked else x.motor_speed
+    stroke_rate = 0.0 if braked else x.motor_speed + x.yielding
     stroke = x.stroke + ahead * stroke_rate
     stretch = length - p.free_length + stroke
 

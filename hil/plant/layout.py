@@ -82,7 +82,8 @@ STATE = _record(
     "uz_acceleration",
     "motor",  # mm, stroke as the motor has it
     "motor_before",
-    "motor_speed",  # mm/s
+    "motor_speed",  # mm/s, as commanded
+    "yielding",  # mm/s, what the load and the motor's torque add to it
     "play",  # mm, of the nut
     "stroke",  # mm, positive = shorter rope
     "tension",  # N, in the middle of the last step

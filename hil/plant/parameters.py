@@ -35,7 +35,7 @@ def parameters(settings: RigSettings, simulation: SimulationSettings) -> npt.NDA
         "rope_length": plant.rope_length_mm,
         "free_length": plant.rope_length_mm + rope.slack_mm,
         "stiffness": plant.stiffness_n_mm * simulation.stiffness_scale,
-        "damping": rope.damping_n_s_mm,
+        "damping": axial_damping_n_s_mm(settings, simulation),
         "rope_mass": rope.mass_kg * KG,
         "elements": float(rope.elements),
         "node_damping": rope.node_damping_n_s_m * N_S_M,
@@ -73,6 +73,12 @@ def parameters(settings: RigSettings, simulation: SimulationSettings) -> npt.NDA
         record[name] = value
     _check_step(values, simulation.step_us)
     return record
+
+
+def axial_damping_n_s_mm(settings: RigSettings, simulation: SimulationSettings) -> float:
+    """Loss of spring and rope together: ``D_l`` of the simulation, or that of the chain in `plant`."""
+    as_one = simulation.rope.damping_n_s_mm
+    return settings.plant.damping_n_s_mm if as_one is None else as_one
 
 
 def _friction(pair: str, friction: FrictionSettings) -> dict[str, float]:

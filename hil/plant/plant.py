@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import pathlib
 from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
@@ -26,6 +27,13 @@ def compile_kernel() -> None:
     kernel.run(values, state, nodes, pulls, inputs, 0.0, 1e-4, 0, 0.0, True)
     kernel.observe(values, state, nodes, pulls, inputs, view, 0.0, 0.0, True)
     kernel.screw_error(values[0], 0.0)
+
+
+def is_compiled() -> bool:
+    """Whether numba has cached code of the kernel as it is now, so that no process compiles it for half a minute."""
+    source = pathlib.Path(kernel.__file__)
+    cached = pathlib.Path(kernel.run.stats.cache_path).glob(f"{source.stem}.run-*.nbi")  # type: ignore[attr-defined]
+    return any(index.stat().st_mtime >= source.stat().st_mtime for index in cached)
 
 
 class Swing(NamedTuple):
@@ -103,8 +111,14 @@ class Plant:
         assert self.truth is not None
         return Swing(*self._view[0].tolist()[_SWING])
 
-    def set_drive(self, velocity_mm_s: float, braked: bool) -> None:
-        """The drive's output from ``t_ns`` on: commanded speed (positive = shorter rope), whether the brake holds."""
+    def set_drive(self, velocity_mm_s: float, braked: bool, yielding_mm_s: float = 0.0) -> None:
+        """The drive's output from ``t_ns`` on: commanded speed (positive = shorter rope), whether the brake holds.
+
+        ``yielding_mm_s``: speed that the load and the motor's torque add, without delay or lag, while it does not.
+        """
+        if yielding_mm_s != self.state["yielding"][0]:
+            self.state["yielding"] = yielding_mm_s
+            self._truth = None
         latest = self._on_the_way[-1][1] if self._on_the_way else self._command
         if velocity_mm_s != latest:
             self._on_the_way.append((self.t_ns + self._delay_ns, velocity_mm_s))

@@ -112,7 +112,7 @@ def play(
             rig = stack.enter_context(lockstep(believed, designed, law=law, built=settings, correction=correction))
         except (ValueError, OSError) as error:
             raise ScenarioError([f"{settings.rig}: {error}"]) from None
-        _bring_to_target(rig, target_n, settle_s, advance)
+        bring_to_target(rig, target_n, settle_s, advance)
         return _play_loop(rig, tracks, seconds, target_n, advance, marks)
 
 
@@ -181,8 +181,13 @@ def _play_locked(
     return Played("locked", target_n, truth, truth["t_ns"] * 1e-9, None, None, ended)
 
 
-def _bring_to_target(rig: Lockstep, target_n: float, settle_s: float, advance: Advance) -> None:
-    """Arm, set the target, tension, settle."""
+def bring_to_target(rig: Lockstep, target_n: float, settle_s: float, advance: Advance | None = None) -> None:
+    """Arm, set the target, tension, settle.
+
+    Raises:
+        ScenarioError: the rig is not COMPENSATING then.
+    """
+    advance = advance or _nothing
     tension, simulation = rig.settings.tension, rig.settings.simulation
     assert simulation is not None  # the rig is simulated
     advance(0.0, "tensioning")
@@ -234,7 +239,7 @@ def _play_loop(
         for i in range(first + 1, after + 1):
             if i - 1 in numbers:
                 rig.give(Verb.MOVE, numbers[i - 1])
-            rig.loop.tick()
+            rig.tick()
             truth[i] = plant.truth
         parts.append(rig.read_records())
         advance((after - first) * period_ns * 1e-9, "running")

@@ -17,6 +17,7 @@ from hil.lockstep import Lockstep, lockstep
 from hil.scenario.case import load
 from hil.scenario.play import Played, play
 from hil.scenario.running_disturbances import RunningDisturbances
+from hil.testing.operated_rig import CommandRefusedError, OperatedRig, SimulatedTimeoutError
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE, Truth
 from rigctl import __version__
@@ -30,18 +31,9 @@ from rigctl.recorder.continuous import Continuous
 WAKE_S = 0.2
 """Until every signal is fresh."""
 POLL_TICKS = 250
-COMPENSATING_LIMIT_S = 120.0
 
 
-class CommandRefusedError(AssertionError):
-    """The loop has refused a command, so the test has failed; ``str()`` is one line."""
-
-
-class SimulatedTimeoutError(AssertionError):
-    """The test has used up its simulated time; ``str()`` is one line."""
-
-
-class LockstepRig:
+class LockstepRig(OperatedRig):
     """A rig whose clock moves only when the test lets it. The same test gives the same run, bit for bit.
 
     Args:
@@ -117,18 +109,6 @@ class LockstepRig:
         if (refusal := self.command(verb, *values)) != Refusal.NONE.name:
             raise CommandRefusedError(f"{verb} was refused in {self.mode}: {refusal}")
 
-    def compensate(self, settle_s: float = 2.0) -> None:
-        """Arm, tension and settle: the state in which the rig works.
-
-        Raises:
-            CommandRefusedError: a command was refused.
-            SimulatedTimeoutError: the rig does not get there.
-        """
-        self.do("arm")
-        self.do("tension")
-        self.run_until("COMPENSATING", COMPENSATING_LIMIT_S)
-        self.run(settle_s)
-
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.
 
@@ -161,7 +141,7 @@ class LockstepRig:
         self._check(seconds)
         start_ns = self.lockstep.clock.now()
         for _ in range(round(seconds * self.settings.loop.rate_hz)):
-            self.lockstep.loop.tick()
+            self.lockstep.tick()
         return self._since(start_ns)
 
     def run_until(self, mode: str, limit_s: float = 60.0) -> RunStretch:
@@ -175,7 +155,7 @@ class LockstepRig:
         for _ in range(round(left_s * self.settings.loop.rate_hz)):
             if self.lockstep.loop.machine.mode is wanted:
                 return self._since(start_ns)
-            self.lockstep.loop.tick()
+            self.lockstep.tick()
         raise SimulatedTimeoutError(f"not in {mode} within {left_s:g} s of simulated time, but in {self.mode}")
 
     # -- what stays of it -------------------------------------------------------------------------------------

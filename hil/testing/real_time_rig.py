@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hil.faults import served
-from hil.testing.lockstep_rig import COMPENSATING_LIMIT_S, CommandRefusedError, SimulatedTimeoutError
+from hil.testing.operated_rig import CommandRefusedError, OperatedRig, SimulatedTimeoutError
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE
 from hil.truth import read as read_truth
@@ -28,7 +28,7 @@ PAUSE_S = 0.02
 TRUTH = "truth.bin"
 
 
-class RealTimeRig:
+class RealTimeRig(OperatedRig):
     """A daemon of its own, with a rig name, an endpoint and files of its own, on a served rig.
 
     Args:
@@ -77,18 +77,6 @@ class RealTimeRig:
             raise CommandRefusedError(str(error)) from None
         if verb == "target" and value is not None:
             self._target_n = value
-
-    def compensate(self, settle_s: float = 2.0) -> None:
-        """Arm, tension and settle: the state in which the rig works.
-
-        Raises:
-            CommandRefusedError: a command was refused.
-            SimulatedTimeoutError: the rig does not get there.
-        """
-        self.do("arm")
-        self.do("tension")
-        self.run_until("COMPENSATING", COMPENSATING_LIMIT_S)
-        self.run(settle_s)
 
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.

@@ -7,7 +7,7 @@ import contextlib
 import socket
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -33,9 +33,12 @@ AGAIN_S = 0.5
 class FoxgloveBridge:
     """What one rig says, on the channels of a server."""
 
-    def __init__(self, rig: AsyncRig, server: FoxgloveServer, schema: Message, rate_hz: float) -> None:
-        """``schema``: of the daemon; ``rate_hz``: of the records, at most that of the loop."""
-        self._rig, self._server, self._rate_hz, self._loop_hz = rig, server, rate_hz, rate_hz
+    def __init__(
+        self, rig: AsyncRig, server: FoxgloveServer, schema: Message, active: Mapping[str, Any], rate_hz: float
+    ) -> None:
+        """``schema``, ``active``: schema and configuration of the daemon; ``rate_hz``: of the records."""
+        self._rig, self._server, self._rate_hz = rig, server, rate_hz
+        self._configure(active)
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns()
         self._samples = rig.fast()
         self._types = {name: np.dtype(field.type).str for name, field in rig.fields.items()}
@@ -133,15 +136,17 @@ async def _serve(rig: Rig, listening: socket.socket, address: Address, origins: 
     for number in heeded(*ENDING):
         loop.add_signal_handler(number, main.cancel)
     server = FoxgloveServer(rig.name, address, origins, _complain)
+    # Before any client is served: a record is thinned by the loop's rate, and parameters are read once.
+    schema, active = await _answer(rig.schema), await _answer(rig.config)
     async with server.serving(listening):
-        await FoxgloveBridge(AsyncRig(rig), server, await _schema(rig), rate_hz).run()
+        await FoxgloveBridge(AsyncRig(rig), server, schema, active, rate_hz).run()
 
 
-async def _schema(rig: Rig) -> Message:
-    """The daemon's schema, as soon as it answers: a busy computer may take longer than a query waits."""
+async def _answer(query: Callable[[], Message]) -> Message:
+    """The daemon's answer, as soon as there is one: a busy computer may take longer than a query waits."""
     while True:
         with contextlib.suppress(NoDaemonError):
-            return await asyncio.to_thread(rig.schema)
+            return await asyncio.to_thread(query)
         await asyncio.sleep(AGAIN_S)
 
 

@@ -35,7 +35,7 @@ from rigctl.bridge.foxglove_protocol import (
     Unsubscribe,
     UnsubscribeParameters,
 )
-from rigctl.config.address import Address
+from rigctl.config.address import Address, names_server
 
 BACKLOG_BYTES = 4 << 20
 FULL_S = 10.0
@@ -139,7 +139,9 @@ class FoxgloveServer:
 
     # -- clients --------------------------------------------------------------------------------------------
     def _admit(self, connection: ServerConnection, handshake: Handshake) -> Response | None:
-        """Refuse a web page that is none of this computer's, and more clients than there may be."""
+        """Refuse a web page that is none of this computer's, a foreign name for it, and too many clients."""
+        if not names_server(handshake.headers.get("Host", ""), self._address):
+            return connection.respond(HTTPStatus.MISDIRECTED_REQUEST, "this server does not go by that name\n")
         if len(self._viewers) >= CLIENTS:
             return connection.respond(HTTPStatus.SERVICE_UNAVAILABLE, f"{CLIENTS} clients are connected already\n")
         origin = handshake.headers.get("Origin")
@@ -152,8 +154,6 @@ class FoxgloveServer:
         if origin in self._origins:
             return True
         parts = urlsplit(origin)
-        if parts.scheme == "file":
-            return True
         return parts.scheme in ("http", "https") and parts.hostname in ("localhost", "127.0.0.1", "::1",
                                                                         self._address.host)  # fmt: skip
 

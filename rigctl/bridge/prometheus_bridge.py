@@ -6,13 +6,14 @@ import contextlib
 import time
 from collections.abc import Callable
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry
 
+from rigctl.bridge.metrics_server import MetricsServer
 from rigctl.bridge.processor import keep_off
 from rigctl.bridge.prometheus_metrics import RigMetrics
 from rigctl.client import NoDaemonError, Rig
 from rigctl.client.shapes import Message
-from rigctl.config.address import Address, CannotListenError, is_local
+from rigctl.config.address import Address, is_local
 
 TURN_S = 0.1
 AGAIN_S = 0.5
@@ -39,11 +40,8 @@ def serve(rig: Rig, address: Address, told: Callable[[Address], None], stop: Cal
     registry.register(metrics)
     if is_local(rig.connection.endpoint):
         keep_off(((active.get("settings") or {}).get("loop") or {}).get("cpu"))
-    try:
-        server, _ = start_http_server(address.port, address.host, registry)
-    except OSError as error:
-        raise CannotListenError(f"cannot listen on {address}: {error.strerror or error}") from None
-    told(Address(address.host, server.server_port))
+    server = MetricsServer(address, registry)
+    told(server.address)
     with rig.fast() as samples, rig.states() as states, rig.events() as events:
         state, heard_at = None, time.monotonic()
         while not stop():
@@ -54,7 +52,7 @@ def serve(rig: Rig, address: Address, told: Callable[[Address], None], stop: Cal
             count = samples.count
             metrics.take(state, list(samples.arrived()), list(events.arrived()), (count.received, count.lost))
             time.sleep(TURN_S)
-    server.shutdown()
+    server.close()
 
 
 def _answer(query: Callable[[], Message], stop: Callable[[], bool]) -> Message | None:

@@ -36,6 +36,6 @@ def thinned(records: npt.NDArray[Any], rate_hz: float, loop_hz: float) -> npt.ND
     """Records at ``rate_hz`` of a loop at ``loop_hz``, by their numbers; all of them where it is not slower."""
     if rate_hz >= loop_hz or not len(records):
         return records
-    turns = records["seq"].astype(np.float64) * (rate_hz / loop_hz)
-    wanted: npt.NDArray[np.bool_] = np.floor(turns) != np.floor(turns - rate_hz / loop_hz)
+    numbers = records["seq"].astype(np.float64)
+    wanted: npt.NDArray[np.bool_] = numbers * rate_hz // loop_hz != (numbers - 1) * rate_hz // loop_hz
     return np.asarray(records[wanted])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from enum import Enum
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -66,7 +66,7 @@ def alarms(
     if (act is AlarmTask.SHELVE) != (reason is not None and minutes is not None):
         end(USAGE, "expected --reason TEXT and --for MINUTES with shelve, and neither with anything else")
     with daemon(connect, rig) as client:
-        rows, now_ns = _rows(client)
+        rows, state, now_ns = _rows(client)
         if act is not AlarmTask.SHOW:
             from rigctl.wire.alarms import AlarmAct
 
@@ -79,26 +79,26 @@ def alarms(
             )  # fmt: skip
     if act is not AlarmTask.SHOW:
         end_with_answer(answer, json)
-    _show(rows, now_ns, json)
+    _show(rows, state, now_ns, json)
 
 
-def _rows(client: Client) -> tuple[list[Alarm], int]:
-    """The open rows, and the wall clock they are of."""
+def _rows(client: Client) -> tuple[list[Alarm], dict[str, Any], int]:
+    """The open rows, the state and the wall clock they are of."""
     from rigctl.wire.alarms import Alarms
 
-    known = Alarms(client.past_events())
-    return known.rows(client.state(), now_ns := time.time_ns()), now_ns
+    known, state = Alarms(client.past_events()), client.state()
+    return known.rows(state, now_ns := time.time_ns()), state, now_ns
 
 
-def _show(rows: list[Alarm], now_ns: int, json: bool) -> None:
-    from rigctl.wire.alarm_words import block
+def _show(rows: list[Alarm], state: dict[str, Any], now_ns: int, json: bool) -> None:
+    from rigctl.wire.alarm_words import listed
     from rigctl.wire.alarms import as_message
 
     if json:
         say_json([as_message(row, now_ns) for row in rows])
     else:
-        for row in rows:
-            say("\n".join(block(row, now_ns)))
+        for line in listed(rows, state, now_ns):
+            say(line)
         if not rows:
             say("no alarms")
     end(BAD if any(row.stands and not row.shelved(now_ns) for row in rows) else DONE)

@@ -6,7 +6,9 @@ import os
 import signal
 import sys
 
-from rigctl.cli import descriptors, standard_output
+from rigctl.cli import descriptors
+from rigctl.config.one_line import complaint
+from rigctl.ipc import standard_output
 from rigctl.ipc.termination import on_signals
 
 _HELP = {"-h", "--help"}
@@ -47,7 +49,7 @@ def _run(words: list[str]) -> int | None:
         sys.stderr.write("rigctl: interrupted; the rig goes on by itself\n")
     except OSError as error:  # a full or read-only disk, no memory, no folder for temporary files
         where = f"{error.filename}: " if error.filename is not None else ""
-        sys.stderr.write(f"rigctl: {where}{error.strerror or error}\n")
+        sys.stderr.write(complaint(f"rigctl: {where}{error.strerror or error}") + "\n")
     return 1
 
 

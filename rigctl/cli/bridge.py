@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli import standard_output
 from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, say, wrong_usage
 from rigctl.config.address import Address, AddressError, CannotListenError, here
+from rigctl.ipc import standard_output
 
 if TYPE_CHECKING:
     from rigctl import client

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
 
+from rigctl.cli.probe_check import ProbeCheck
 from rigctl.config.bounds import Stop, findings
 from rigctl.config.quantity import count, significant, unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.signals import WATCHED
 from rigctl.config.telemetry_section import open_listen
-from rigctl.control import limits, safety
+from rigctl.control import held_tension, limits, safety, take_up
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
+from rigctl.design.verdict import Design
 from rigctl.devices import busload
 
 NARROW = 72
@@ -35,6 +38,10 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
         "accepted": accepted(settings),
         "stop_distance_mm": round(stop.distance_mm, 3),
         "stop_n": round(stop.newtons, 2),
+        "held_growing_mm": round(held_tension.stretch_limit_mm(settings, held_tension.GROWS_MM), 3),
+        "held_stretch_mm": round(held_tension.stretch_limit_mm(settings), 3),
+        "held_fall_n": round(held_tension.fall_limit_n(settings), 3),
+        "probe": ProbeCheck.of(settings).as_dict(),
         "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],
         "waived_listen": open_listen(settings.telemetry),
     }
@@ -52,8 +59,10 @@ def verdict(settings: RigSettings) -> str:
     if load is None:
         return "bus load: not judged, this bus has no bit rate"
     words = "within" if load <= busload.LIMIT else "REFUSED: above"
+    advice = busload.advice(settings) if load > busload.LIMIT else ""
     return (
         f"bus load: {load:.1%} of {settings.can.bitrate_bit_s} bit/s at worst, {words} the limit of {busload.LIMIT:.0%}"
+        f"{f'; {advice}' if advice else ''}"
     )
 
 
@@ -61,7 +70,9 @@ def show(settings: RigSettings, console: Console) -> None:
     """Print the resolved rig, then the frames that load its bus."""
     rig = Table(title=f"rig {settings.rig}", title_justify="left", box=None)
     narrow = console.width < NARROW
-    rig.add_column("key", overflow="fold", max_width=max(NARROWEST_VALUE, console.width - NARROWEST_VALUE - 4))
+    # Keys whole: they are copied into a rig file. Only a narrow terminal breaks them over lines.
+    widths = {"max_width": max(NARROWEST_VALUE, console.width - NARROWEST_VALUE - 4)} if narrow else {"no_wrap": True}
+    rig.add_column("key", overflow="fold", min_width=None if narrow else _widest_key(settings), **widths)
     rig.add_column("value", overflow="fold", min_width=NARROWEST_VALUE)
     if not narrow:
         rig.add_column("unit", no_wrap=True)
@@ -96,14 +107,67 @@ def show(settings: RigSettings, console: Console) -> None:
     console.print(frames)
     console.print(verdict(settings), highlight=False)
     console.print(Stop.of(settings).in_words(settings), highlight=False)
-    for key, found, allowed in findings(settings):
-        console.print(
-            f"WAIVED ({settings.safety.waiver}): {key}: found {found}, expected {allowed}",
-            highlight=False,
-            markup=False,
-        )
+    for line in _protection(settings):
+        console.print(line, highlight=False, markup=False)
     if reached := open_listen(settings.telemetry):
         console.print(f"WAIVED ({settings.telemetry.listen_waiver}): {reached}", highlight=False, markup=False)
+
+
+def _widest_key(settings: Settings, indent: int = 2) -> int:
+    """Columns of the longest key, with its indent; a section in a section is named in full."""
+    found = [indent + len(key) for key in type(settings).model_fields]
+    for section in type(settings).model_fields:
+        if isinstance(inner := getattr(settings, section), Settings) and section != "plain":
+            found.append(_widest_key(inner))
+    return max(found)
+
+
+def show_design(design: Design, console: Console) -> None:
+    """Print the verdict on the gains, as `rigctl run` does."""
+    words = design.verdict()
+    console.print(words if words.startswith("design") else f"design: {words}", highlight=False, markup=False)
+    for warning in design.warnings():
+        console.print(f"WARNING: design: {warning}", highlight=False, markup=False)
+
+
+def last_resort(settings: RigSettings) -> str:
+    """What follows a command that shows no effect."""
+    cylinder, io = settings.cylinder, settings.io
+    own_ms = max(cylinder.heartbeat_timeout_ms, cylinder.command_deadline_ms)
+    words = (
+        f"last resort: power off by SDO, NMT stop, then silence: the drive's own supervision stops it in {own_ms} ms"
+    )
+    if io is None or io.drive_enable_output is None:
+        return (
+            f"{words}. No hard-wired enable (io.drive_enable_output): only the emergency stop stops a drive that "
+            "reacts to neither"
+        )
+    return (
+        f"{words}; output {io.drive_enable_output} of the I/O node takes the motor's torque away (STO), shown by its "
+        f"input {io.drive_off_input}"
+    )
+
+
+def _protection(settings: RigSettings) -> Iterator[str]:
+    """What a rig without a brake, a held load and the probe are exposed to, and the bounds that are waived."""
+    if settings.cylinder.brake_waiver is not None:
+        yield f"WAIVED ({settings.cylinder.brake_waiver}): {without_brake(settings)}"
+    yield last_resort(settings)
+    yield held_tension.in_words(settings)
+    yield take_up.in_words(settings)
+    yield from ProbeCheck.of(settings).lines()
+    for key, found, allowed in findings(settings):
+        yield f"WAIVED ({settings.safety.waiver}): {key}: found {found}, expected {allowed}"
+
+
+def without_brake(settings: RigSettings) -> str:
+    """The creep that a rig without a brake is exposed to, as its motor holds for as long as HOLD lasts."""
+    stretch_mm = held_tension.stretch_limit_mm(settings)
+    stretch_n = stretch_mm * settings.plant.stiffness_n_mm
+    return (
+        "no holding brake: HOLD and FAULT last under power. A drive that creeps while its encoder shows no motion is "
+        f"found by the tension after {stretch_mm:.2g} mm ({stretch_n:.3g} N); with a silent cell nothing shows it"
+    )
 
 
 def _watched(settings: RigSettings) -> Table:

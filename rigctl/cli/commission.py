@@ -155,7 +155,7 @@ def gains(
     rig: Rig = None,
     operator: Operator = None,
 ) -> None:
-    """Act by the gains of a file from `rigctl tune --gains` from now on, in any mode, without a bump.
+    """Act by the gains of a file from `rigctl tune --gains` from now on, in any mode, without a step.
 
     Only the design's weights may differ from the file that runs, and the margins are judged as at a start. They hold
     until the daemon ends; to keep them, name the file as design.gains_file in the rig file.
@@ -171,11 +171,11 @@ def gains(
 
 def _show(rows: list[dict[str, Any]]) -> None:
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     from rigctl.commission.proposal import rounded
 
-    table = Table("", "in the file", "found", "+- (95 %)", "", "", box=None)
+    table = Table(Column(no_wrap=True), "in the file", "found", "+- (95 %)", "", "", box=None)  # a key is never cut
     for row in rows:
         before = "-" if row["before"] is None else f"{row['before']:.4g}"
         found = ("-", "-") if row["found"] is None else rounded(row["found"], row["error"] or 0.0)
@@ -201,6 +201,8 @@ def _rows_of(entry: dict[str, Any]) -> list[dict[str, Any]]:
         rows.append(_row(key, before.get(name), pair, unit, why))
     margins = figures["margins"]
     said = "measured" if margins["measured"] else "predicted for COMPENSATING"
+    if margins["measured"] and margins.get("beyond"):
+        said = f"predicted beyond {margins['covered_hz']:.2g} Hz; measured: at least {margins['at_least']:.3f}"
     rows.append(_row("Ms at the plant's input", None, margins["ms_input"], "", said))
     rows.append(_row("Ms at the tension", None, margins["ms_output"], "", said))
     return rows

@@ -41,6 +41,7 @@ TITLES: dict[Check, str] = {
     Check.E_STOP_UNSEEN: "emergency stop: seen",
     Check.E_STOP_IO: "emergency stop, I/O node: released",
     Check.E_STOP_IO_UNSEEN: "emergency stop, I/O node: seen",
+    Check.ENABLE_IGNORED: "drive: STO feedback follows its hard-wired enable",
     Check.TENSION_HIGH: "tension: below its limit",
     Check.STROKE_RANGE: "stroke: within its limits",
     Check.STROKE_NEAR_END: "stroke: away from its ends",
@@ -56,9 +57,10 @@ TITLES: dict[Check, str] = {
 """Every check, in the order of display."""
 _OF_FITTED = {
     "io": Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN,
+    "io.drive_enable_output": Check.ENABLE_IGNORED,
     "second_force": Check.SECOND_FORCE | Check.FORCES_DISAGREE,
 }
-"""Checks of a section that not every rig file has."""
+"""Checks of a section, or of a key in it, that not every rig file has."""
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
@@ -72,8 +74,11 @@ def running(state: Mapping[str, Any], active: Mapping[str, Any], settings: RigSe
     findings.append(_read_back(state))
     settings_now = active.get("settings") or {}
     left_out = Check(0)
-    for section, checks in _OF_FITTED.items():
-        left_out |= checks if settings_now.get(section) is None else Check(0)
+    for path, checks in _OF_FITTED.items():
+        section, _, key = path.partition(".")
+        found = settings_now.get(section)
+        found = found.get(key) if key and isinstance(found, dict) else found
+        left_out |= checks if found is None else Check(0)
     return findings + [_check(check, failing, waived) for check in TITLES if not check & left_out]
 
 

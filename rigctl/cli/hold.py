@@ -9,7 +9,7 @@ from rigctl.cli.verbs import give_and_end
 def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
     """Stop and hold the stroke where it is. Anyone may, always: it needs no lease and takes none.
 
-    To a daemon of this computer and user it goes past the network, on a socket of its own (FOLDER/hold.sock in memory),
-    and works while the gateway is flooded, hangs or is gone; to any other as every command.
+    To a daemon of this computer and user it goes past the network, as a datagram to a socket of the loop
+    (FOLDER/hold.UID in memory), and works while every other process hangs or is gone; to any other as every command.
     """
     give_and_end("hold", json, connect, rig, operator)

@@ -154,7 +154,7 @@ def tmpfiles(rig: str) -> pathlib.PurePosixPath:
 
 
 def units(settings: RigSettings) -> list[str]:
-    """Units to enable, in the order of their start; recorder, hold service and gateway come with the daemon."""
+    """Units to enable, in the order of their start; recorder and gateway come with the daemon."""
     simulated = [f"rigctl-sim@{settings.rig}.service"] if is_simulated(settings) else []
     network = ["systemd-networkd.service"] if settings.can.interface == "socketcan" else []
     page = [f"rigctl-page@{settings.rig}.service"] if settings.page is not None else []
@@ -251,6 +251,10 @@ def _refuse_shared_folder(settings: RigSettings) -> None:
         raise InstallError(f"calibration.file: found {settings.ledger}, expected it in a folder of its own")
 
 
+_READERS = {"recorder": WRITERS["recorder"].group, "gateway": "rigctl"}
+"""Group of a folder of kept data, by the process that writes to it: the gateway reads nothing of the recorder's."""
+
+
 def _is_kept_here(settings: RigSettings, folder: pathlib.Path) -> bool:
     return folder.is_relative_to(settings.kept(""))
 
@@ -263,7 +267,7 @@ def _kept_folders(settings: RigSettings) -> list[str]:
         for folder in folders:
             place = layout.STATE / folder.relative_to(settings.kept("")) if _is_kept_here(settings, folder) else None
             if place is not None and place not in (*known, layout.STATE):
-                lines[place] = f"d {place} 0750 {WRITERS[name].group} rigctl -"
+                lines[place] = f"d {place} 0750 {WRITERS[name].group} {_READERS[name]} -"
     return list(lines.values())
 
 

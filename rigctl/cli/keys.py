@@ -12,7 +12,7 @@ import typer
 
 from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
 from rigctl.identity.credentials import CredentialsError
-from rigctl.identity.key_folder import KeyFolder, KeyFolderError
+from rigctl.identity.key_folder import HostError, KeyFolder, KeyFolderError
 from rigctl.identity.roles import GATEWAY_NAME, Role
 
 if TYPE_CHECKING:
@@ -76,6 +76,8 @@ def keys(
             _list(KeyFolder(folder), json)
         else:
             _change(task, name or "", Role(role or "viewer"), folder, days, host or [], json)
+    except HostError as error:
+        end(USAGE, str(error))
     except (KeyFolderError, CredentialsError) as error:
         end(BAD, str(error))
     end(DONE)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from rigctl.config import one_line
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -75,7 +76,7 @@ def say_json(message: Any) -> None:
 def end(code: int, complaint: str | None = None) -> NoReturn:
     """End the command, with ``complaint`` as one line on standard error if given."""
     if complaint is not None:
-        sys.stderr.write(f"rigctl: {complaint}\n")
+        sys.stderr.write(f"rigctl: {one_line.complaint(complaint)}\n")
     raise typer.Exit(code)
 
 
@@ -122,7 +123,7 @@ def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
 
     try:
         with Client(connect, rig) as client:
-            if words := client.trust.words:
+            if words := client.route.words(client.rig):
                 sys.stderr.write(f"rigctl: {words}\n")
             yield client
     except NoDaemonError as error:

@@ -12,6 +12,8 @@ import typer
 from rigctl.cli import lease_file
 from rigctl.cli.options import BAD, USAGE, Connect, Rig, end, say, wrong_usage
 from rigctl.config.address import DEFAULT, Address, AddressError, CannotListenError
+from rigctl.ipc import standard_output
+from rigctl.ipc.service_manager import Watchdog
 
 Listen = Annotated[str, typer.Option("--listen", metavar="HOST:PORT", help="Where the page is served.")]
 Rights = Annotated[
@@ -72,12 +74,14 @@ def page(
 
     address = Address(address.host, listening.getsockname()[1])
     guard = Guard.of(address, operator=name, sign_in=sign_in, tls=tls is not None)
+    standard_output.never_wait()
     rights = f"commands as {name}" if name is not None else "read-only"
     say(f"page: {guard.link() if guard.needs_links else guard.url} ({rights}), {known}")
     if tls is None and not address.is_loopback:
         say(f"WARNING: {PLAIN_HTTP}" + ("; whoever does can command the rig" if name is not None else ""))
     folder = _own_folder() if guard.needs_links else None
-    serve(listening, endpoint, rig, guard, tls=tls, links=path_in(folder, address.port) if folder else None)
+    links = path_in(folder, address.port) if folder else None
+    serve(listening, endpoint, rig, guard, tls=tls, links=links, turn=Watchdog().feed)
 
 
 def _https(cert: pathlib.Path | None, key: pathlib.Path | None) -> ssl.SSLContext | None:

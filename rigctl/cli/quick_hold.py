@@ -1,7 +1,8 @@
 """``rigctl hold`` on the daemon's computer: the shortest way from a terminal to the loop.
 
-It reads its few words itself, because typer alone takes longer to load than the rest of the way, and loads neither
-Zenoh nor numpy. What it does not answer is left to `rigctl.cli.hold`: help, wrong usage, a daemon elsewhere.
+It reads its few words itself, because typer alone takes longer to load than the rest of the way, and loads
+neither Zenoh nor numpy nor msgspec. What it does not answer is left to `rigctl.cli.hold`: help, wrong usage, a daemon
+elsewhere.
 """
 
 from __future__ import annotations

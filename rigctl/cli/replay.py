@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rigctl.recorder.recording import Recording
     from rigctl.replay.compare import Against, Divergence
     from rigctl.replay.play import ProcessSpan
+    from rigctl.report.culprits import RecordedCulprit
 
 _COLUMNS = ("ticks", "then_rms_mm_s", "now_rms_mm_s", "apart_rms_mm_s", "apart_max_mm_s")
 
@@ -60,6 +61,7 @@ def _read(file: pathlib.Path) -> tuple[Recording, list[ProcessSpan]]:
 
 def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *, json: bool) -> None:
     from rigctl.cli.progress import progress
+    from rigctl.ipc import ledger
     from rigctl.recorder.contents import seals_in_words
     from rigctl.replay.compare import first_difference
     from rigctl.replay.play import play
@@ -78,20 +80,40 @@ def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *
              "cut_short": span.cut_short}
         )  # fmt: skip
     sealed = seals_in_words(recording)
+    named = [one for span in spans for one in _culprits(recording, span)]
     passed_s = time.monotonic() - start
     recorded_s = sum(row["ticks"] for row in found) / spans[0].settings.loop.rate_hz
     times = recorded_s / passed_s if passed_s else 0.0
     if json:
-        say_json({"file": str(file), "seal": sealed, "loops": found, "identical": not bad, "times_real_time": times})
+        say_json(
+            {
+                "file": str(file),
+                "seal": sealed,
+                "loops": found,
+                "identical": not bad,
+                "culprits": [{"t_ns": one.t_ns, **one.culprit.as_message()} for one in named],
+                "times_real_time": times,
+            }
+        )
     else:
         say(f"seal: {sealed}")
         for row in found:
             _say_row(row, many=len(found) > 1)
+        for one in named:
+            say(f"culprit at {ledger.utc(one.t_ns + recording.wall_offset_ns)}: {one.culprit.words}")
         say(f"{recorded_s:.1f} s of loop replayed at {times:.1f} times real time")
     if bad or cut:
         what = "a command, a mode or a figure came out differently" if bad else "the recording has a gap"
         end(BAD, f"{file}: {what}")
     end(DONE)
+
+
+def _culprits(recording: Recording, span: ProcessSpan) -> list[RecordedCulprit]:
+    """Of the trips of one control process, by its own settings."""
+    from rigctl.report.culprits import culprits
+
+    first_ns, last_ns = int(span.records["t_ns"][0]), int(span.records["t_ns"][-1])
+    return [one for one in culprits(recording, span.settings) if first_ns <= one.t_ns <= last_ns]
 
 
 def _shown(divergence: Divergence, offset_ns: int) -> dict[str, Any]:

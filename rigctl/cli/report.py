@@ -80,6 +80,8 @@ def _say(found: Findings) -> None:
     for row in found.verdict.criteria:
         mark = "not judged" if row.met is None else "met" if row.met else "NOT MET"
         say(f"{row.name:38} {row.found:>18}  {row.limit:>8}  {mark}")
+    for one in found.culprits:
+        say(f"culprit at {found.utc(one.t_ns)}: {one.culprit.words}")
     for remark in found.remarks:
         say(f"note: {remark}")
     say(found.verdict.word)

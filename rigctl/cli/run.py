@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import pathlib
 import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
+from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load_rig_file, say, say_json, wrong_usage
-from rigctl.ipc import output_file
+from rigctl.ipc import output_file, standard_output
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
@@ -82,20 +86,49 @@ def _adopted(settings: RigSettings) -> RigSettings:
         return in_use.adopted(settings)
 
 
+def _refuse_unseen(file: pathlib.Path, settings: RigSettings) -> None:
+    """End the command where a frozen cell could move the load by more than a tenth unseen."""
+    from rigctl.cli.probe_check import refusal
+
+    with _designing(file):
+        why = refusal(settings)
+    if why is not None:
+        end(USAGE, f"{file}: {why}; or safety.waiver: why not, in words")
+
+
+@contextlib.contextmanager
+def _designing(file: pathlib.Path) -> Iterator[None]:
+    """A block that designs: without gains for the file the command ends with one line."""
+    try:
+        yield
+    except (ArithmeticError, ValueError) as error:  # DesignError is one; the others: numbers that no plant has
+        end(BAD, f"{file}: no design: {' '.join(str(error).split())}")
+
+
 def check(file: File, json: Json = False) -> None:
-    """Validate a rig file; show the resolved rig and the worst-case load of its bus."""
+    """Validate a rig file and its design; show the resolved rig and the worst-case load of its bus."""
     settings = load_rig_file(file)
     _check_eds(settings)
+    used = _adopted(settings)
     from rich.console import Console
 
     from rigctl.cli import check as checking
 
+    _refuse_unseen(file, used)
+    with _designing(file):
+        from rigctl.design.in_use import design_in_use
+
+        design = design_in_use(used)
     if json:
-        say_json(checking.as_dict(settings))
+        found = checking.as_dict(settings)
+        say_json({**found, "accepted": found["accepted"] and design.accepted, "design": design.as_dict()})
     else:
         checking.show(settings, Console())
+        checking.show_design(design, Console())
     if not checking.accepted(settings):
         end(BAD, f"{file}: {checking.verdict(settings)}")
+    if not design.accepted:
+        end(BAD, f"{file}: {design.verdict()}")
 
 
 def run(
@@ -108,16 +141,18 @@ def run(
     ] = None,
     separate_users: Annotated[
         bool,
-        typer.Option("--separate-users", help="Recorder, hold service and gateway are services of their own."),
+        typer.Option("--separate-users", help="Recorder and gateway are services of their own."),
     ] = False,
 ) -> None:
     """Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."""
+    standard_output.never_wait()
     settings = _adopted(_with_page(load_rig_file(file), page, page_listen))
     from rigctl.cli.check import accepted, verdict
     from rigctl.supervisor.daemon import CannotRunError, Supervisor
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
+    _refuse_unseen(file, settings)
     _check_files(settings, keys=not separate_users)
     log = lambda text: say(f"{time.strftime('%H:%M:%S')} {text}")  # noqa: E731
     try:
@@ -129,7 +164,7 @@ def run(
 
 def demo(
     file: File = DEMO_FILE,
-    json: Annotated[pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here.")] = None,
+    json: JsonFile = None,
     lockstep: Annotated[bool, typer.Option("--lockstep", help="Play in simulated time.")] = False,
     recordings: Annotated[
         pathlib.Path, typer.Option(metavar="FOLDER", help="Leave the recording here.")
@@ -149,15 +184,21 @@ def demo(
     assert settings.demo is not None
     if json is not None and json.resolve() == file.resolve():
         end(USAGE, f"--json: {json} is the rig file, expected a file of its own")
-    check_output("--json", json)
+    if (why := json_complaint(json)) is not None:
+        end(USAGE, why)
+    prints = json == STANDARD_OUTPUT
+    check_output("--json", None if prints else json)
     try:
-        summary = play(settings, settings.demo, Console(), recordings.resolve(), lockstep=lockstep)
+        summary = play(settings, settings.demo, Console(stderr=prints), recordings.resolve(), lockstep=lockstep)
     except DemoError as error:
         end(BAD, f"demo: {error}")
     except KeyboardInterrupt:
         end(BAD, "demo interrupted: its daemon held the stroke, and its processes are ended")
     if json is not None:
         text = msgspec.json.format(msgspec.json.encode(summary.as_dict()), indent=2).decode()
-        with wrong_usage(output_file.OutputError):
-            output_file.write(json, text + "\n")
+        if prints:
+            say(text)
+        else:
+            with wrong_usage(output_file.OutputError):
+                output_file.write(json, text + "\n")
     raise typer.Exit(DONE if summary.passed else BAD)

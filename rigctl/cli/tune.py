@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
+from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, load_rig_file, say, wrong_usage
 from rigctl.ipc import output_file
 
@@ -20,15 +22,12 @@ if TYPE_CHECKING:
     from rigctl.design.tuning import Tuned
     from rigctl.ipc.ledger import Entry
 
-STANDARD_OUTPUT = pathlib.Path("-")
 SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def tune(
     file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")],
-    json: Annotated[
-        pathlib.Path | None, typer.Option(metavar="FILE", help="Write the figures here, - to print them instead.")
-    ] = None,
+    json: JsonFile = None,
     plot: Annotated[
         pathlib.Path | None, typer.Option(metavar="FILE", help="Draw Bode, Nyquist and sensitivity: png, svg, pdf.")
     ] = None,
@@ -58,6 +57,8 @@ def tune(
 
     The plant is that of the rig file, judged over the assumed family; with --from the identified one, over its own.
     """
+    if (why := json_complaint(json)) is not None:
+        end(USAGE, why)
     settings = load_rig_file(file, study=True)
     _check_outputs(file, {"--json": None if json == STANDARD_OUTPUT else json, "--plot": plot, "--gains": gains})
     if auto and (optimize or from_ is not None):
@@ -122,8 +123,8 @@ def _table_lines(tuned: Tuned) -> Iterator[str]:
         )
     if tuned.dwell_s is not None:
         yield (
-            f"  changes proven stable and bumpless if at least {tuned.dwell_s:.3g} s apart (dwell time, every plant of "
-            "both families); the loop keeps to that"
+            f"  changes at least {tuned.dwell_s:.3g} s apart are stable with every plant of "
+            "both families (dwell time); the loop keeps to that"
         )
 
 
@@ -166,7 +167,7 @@ def _tuned(
     from rigctl.design.tuning import Optimisation, tune
 
     found = []
-    with progress("weights", len(rigs) * search[1] if search else 1.0) as advance:
+    with progress("weights", len(rigs) * search[1] if search else 1.0, lines=search is not None) as advance:
         for settings in rigs:
             optimisation = Optimisation(*search, lambda: advance(1.0, "")) if search else None
             try:

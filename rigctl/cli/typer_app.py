@@ -11,7 +11,9 @@ from typing import Annotated, cast
 import typer
 
 from rigctl import __version__
+from rigctl.cli import json_file
 from rigctl.cli.verb_table import VERBS, VerbRow, row_of
+from rigctl.config.one_line import complaint
 
 # click's class; where typer keeps its click depends on typer's version.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
@@ -63,11 +65,13 @@ def run(name: str, words: list[str]) -> int | None:
         KeyboardInterrupt: Ctrl-C, or an answer that ended the command.
     """
     row = row_of(name)
+    words = json_file.with_files(words) if row is not None and row.json_file else words
     try:
         code: int | None = program(VERBS if row is None else (row,))(args=words, standalone_mode=False)
     except _UsageError as error:
         text = " ".join(error.format_message().split()).rstrip(".")
-        sys.stderr.write(f"rigctl: {text} (see rigctl --help)\n")
+        own = f"rigctl {row.name}" if row is not None else "rigctl"
+        sys.stderr.write(f"{complaint(f'rigctl: {text}')} (see {own} --help)\n")
         return 2
     except typer.Abort:
         raise KeyboardInterrupt from None

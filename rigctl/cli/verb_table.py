@@ -12,22 +12,35 @@ from typing import NamedTuple
 class VerbRow(NamedTuple):
     """``place``: ``MODULE:NAME`` below ``rigctl.cli``, a function or a ``typer.Typer`` with commands of its own.
 
-    ``signed``: it takes a negative number as a value, not as an option.
+    ``signed``: it takes a negative number as a value, not as an option. ``json_file``: its ``--json`` takes a file too.
     """
 
     name: str
     place: str
     line: str
     signed: bool = False
+    json_file: bool = False
 
 
 VERBS = (
     VerbRow("run", "run:run", "Run the daemon until SIGTERM, SIGHUP or Ctrl-C; it ends with the stroke held."),
     VerbRow(
-        "demo", "run:demo", "Play the paper's move on the simulated rig and judge it by the rig file's own limits."
+        "demo",
+        "run:demo",
+        "Play the paper's move on the simulated rig and judge it by the rig file's own limits.",
+        json_file=True,
     ),
-    VerbRow("check", "run:check", "Validate a rig file; show the resolved rig and the worst-case load of its bus."),
-    VerbRow("tune", "tune:tune", "Compute gains for a rig; show and judge their margins over the family of plants."),
+    VerbRow(
+        "check",
+        "run:check",
+        "Validate a rig file and its design; show the resolved rig and the worst-case load of its bus.",
+    ),
+    VerbRow(
+        "tune",
+        "tune:tune",
+        "Compute gains for a rig; show and judge their margins over the family of plants.",
+        json_file=True,
+    ),
     VerbRow(
         "status",
         "status:status",
@@ -83,6 +96,13 @@ VERBS = (
     VerbRow("disarm", "verbs:disarm", "Drive off, brake closed."),
     VerbRow("reset", "verbs:reset", "Acknowledge a fault whose cause is gone."),
     VerbRow(
+        "carry",
+        "verbs:carry",
+        "In FAULT, where the brake slips: the motor holds the load for SECONDS, then lowers it.",
+        signed=True,
+    ),
+    VerbRow("lower", "verbs:lower", "In FAULT, where the brake slips: the motor lowers the load to a slack rope."),
+    VerbRow(
         "move",
         "verbs:move",
         "A move of the mechanism begins now: play what was learnt from it, and learn from it; 0: it has ended.",
@@ -112,7 +132,7 @@ VERBS = (
     VerbRow(
         "gains",
         "commission:gains",
-        "Act by the gains of a file from `rigctl tune --gains` from now on, in any mode, without a bump.",
+        "Act by the gains of a file from `rigctl tune --gains` from now on, in any mode, without a step.",
     ),
     VerbRow(
         "install",

@@ -40,6 +40,10 @@ Millimetres = Annotated[
     float,
     typer.Argument(metavar="MM", parser=finite_number("millimetres"), help="Stroke, as measured at the cylinder."),
 ]
+Seconds = Annotated[
+    float,
+    typer.Argument(metavar="SECONDS", parser=finite_number("seconds"), help="How long, 1 to 3600 s."),
+]
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
@@ -81,6 +85,18 @@ def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operato
 def reset(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
     """Acknowledge a fault whose cause is gone."""
     give_and_end("reset", json, connect, rig, operator)
+
+
+def carry(
+    seconds: Seconds, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """In FAULT, where the brake slips: the motor holds the load for SECONDS, then lowers it."""
+    give_and_end("carry", json, connect, rig, operator, seconds)
+
+
+def lower(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
+    """In FAULT, where the brake slips: the motor lowers the load to a slack rope."""
+    give_and_end("lower", json, connect, rig, operator)
 
 
 def target(

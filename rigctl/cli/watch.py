@@ -8,8 +8,8 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from rigctl.cli import standard_output
 from rigctl.cli.options import DONE, USAGE, Connect, Json, Rig, end, say, say_json
+from rigctl.ipc import standard_output
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
@@ -75,10 +75,11 @@ def line(view: RigView) -> str:
     parts = [
         figures.clock(state["wall_ns"])[:-2],
         f"{figures.mode(state):<12}",
-        f"{figures.number(state['vertical_n'], 2, 'N'):>9}",
+        figures.held(state),
+        f"{figures.measured(state, 'vertical_n', 2, 'N'):>9}",
         f"error {figures.error(state).split(' (not')[0]}",
-        f"stroke {figures.number(state['stroke_mm'], 2, 'mm')}",
-        f"tilt {figures.number(state['tangential_deg'], 2, 'deg', sign=True)}",
+        f"stroke {figures.measured(state, 'stroke_mm', 2, 'mm')}",
+        f"tilt {figures.measured(state, 'tangential_deg', 2, 'deg', sign=True)}",
         f"late p99 {late['p99']:.0f} max {late['max']:.0f} us",
         f"lease {state['lease']['holder']}" if state.get("lease") else "",
         figures.why(state),

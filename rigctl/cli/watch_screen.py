@@ -11,8 +11,9 @@ from rich.text import Text
 
 from rigctl.config.quantity import count, significant
 from rigctl.wire import state_words as figures
-from rigctl.wire.alarm_words import alarm_rows, banner_rows
+from rigctl.wire.alarm_words import alarm_rows, banner_rows, culprit_rows
 from rigctl.wire.operator_view import view as operator_view
+from rigctl.wire.trust import trusted
 
 if TYPE_CHECKING:
     from rigctl.client.rig_view import RigView
@@ -52,7 +53,7 @@ def _row(label: str, value: str | Text, style: str = "") -> Text:
 
 def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
     """Vertical tension against the target and its band."""
-    value, target = state["vertical_n"], state["target_n"] or 0.0
+    value, target = trusted(state, "vertical_n"), state["target_n"] or 0.0
     low, high = target * (1 - SPAN_PCT / 100), target * (1 + SPAN_PCT / 100)
     band = (target * (1 - figures.BAND_PCT / 100), target * (1 + figures.BAND_PCT / 100))
     inside = value is not None and band[0] <= value <= band[1]
@@ -69,8 +70,8 @@ def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
 
 def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> list[Text]:
     """Stroke within its limits."""
-    stroke, low, high = state["stroke_mm"], limits.get("stroke_min_mm"), limits.get("stroke_max_mm")
-    speed = figures.number(state["speed_mm_s"], 2, "mm/s", sign=True)
+    stroke, low, high = trusted(state, "stroke_mm"), limits.get("stroke_min_mm"), limits.get("stroke_max_mm")
+    speed = figures.measured(state, "speed_mm_s", 2, "mm/s", sign=True)
     first = _row("stroke", f"{figures.number(stroke, 2, 'mm'):>10}  {speed}")
     if low is None or high is None:
         return [first]
@@ -107,16 +108,19 @@ class Screen:
         head = [self._title(width)]
         if view.is_silent or state is None:
             head += self._banner(f"NO DATA FOR {view.silent_s:.0f} s", "bold white on red", width)
-            head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones", "bold red"))
+            head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones, old", "bold red"))
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
+            head += [_row(*row) for row in culprit_rows(state)]
             head.append(Text(figures.why(state), "bold red"))
-            head += [_row("stands", words, "bold red") for words in figures.causes(state)]
-            now_ns = time.time_ns()
+            head += [_row("active", words, "bold red") for words in figures.causes(state)]
+            now_ns, lock_out = time.time_ns(), str((view.settings.get("safety") or {}).get("lock_out") or "")
+            if (origin := view.origin.now) is not None:
+                head.append(_row("in this mode", f"since {figures.clock(origin.since_ns)[:-2]}, {origin.by}"))
             with view.lock:
                 alarms = view.alarms.rows(state, now_ns)
-            head += [_row(*row) for row in banner_rows(state, operator_view(state, alarms))]
-            head += [_row(*row) for row in alarm_rows(alarms, now_ns)]
+            head += [_row(*row) for row in banner_rows(state, operator_view(state, alarms, lock_out))]
+            head += [_row(*row) for row in alarm_rows(alarms, now_ns, state)]
         if state is not None and state.get("mode") is not None:
             head += self._values(state, width - _LABEL)
         warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]

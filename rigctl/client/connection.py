@@ -9,8 +9,8 @@ import datetime
 import os
 import pathlib
 import re
-import secrets
 import threading
+import time
 from collections.abc import Callable
 from typing import Any, Self, TypeVar
 
@@ -24,6 +24,7 @@ from rigctl.client.endpoint import chosen_endpoint
 from rigctl.client.event_order import Events, EventSource
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.messages import MessageSource, shape_of
+from rigctl.client.route import Route
 from rigctl.client.samples import Blocks, Samples
 from rigctl.client.shapes import (
     LONGEST_BLOCK,
@@ -36,16 +37,15 @@ from rigctl.client.shapes import (
 )
 from rigctl.client.stream import Stream
 from rigctl.client.stream_source import Question
-from rigctl.client.trust import Trust, local_daemons
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.wire import keys
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
-from rigctl.wire.lease import LeaseAct
-from rigctl.wire.proof import NONCE_BYTES, Attachment, derived_key, exchange, exchanged_key, unsealed
+from rigctl.wire.lease import ACTS, LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 
+_AGAIN_S = 0.05
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
 OPEN_S = 2.0
 ASK_S = 2.0
@@ -56,9 +56,9 @@ WEIGHT_S = 120.0  # until a weight is hung on the cell, whose creep is then reco
 RESPONSE_S = 120.0  # a frequency response takes a minute, its evaluation some seconds
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
-_UNPROVEN = "no_proof"
-_OLD = "proof_old"  # the refusal of a command whose stamp is not of now
-_LIMITS_S = {**dict.fromkeys(("arm", "tare", "calibrate", "identify", "gains"), TRIAL_S), "response": RESPONSE_S}
+_HOLD = "hold"
+_LONGER = ("arm", "tension", "release", "carry", "lower", "tare", "calibrate", "identify", "gains")
+_LIMITS_S = {**dict.fromkeys(_LONGER, TRIAL_S), "response": RESPONSE_S}
 
 
 _Some = TypeVar("_Some")
@@ -76,13 +76,13 @@ class NoKeyError(ChoiceError):
     """An endpoint ``tls/`` and no key file; ``str()`` is one line."""
 
 
-def _open(endpoint: str, owned: Credentials | None) -> zenoh.Session:
+def _open(route: Route, owned: Credentials | None) -> zenoh.Session:
     """Open a session, giving up after ``OPEN_S`` whatever the network does."""
     opened: list[zenoh.Session] = []
 
     def attempt() -> None:
         try:
-            opened.append(open_client(endpoint, owned))
+            opened.append(open_client(route.endpoint, owned))
         except SessionError:
             return
 
@@ -90,12 +90,13 @@ def _open(endpoint: str, owned: Credentials | None) -> zenoh.Session:
     thread.start()
     thread.join(OPEN_S)
     if not opened:
-        raise NoDaemonError(f"no daemon answers at {endpoint} ({ABSENT})")
+        raise NoDaemonError(f"no daemon answers at {route.given} ({ABSENT})")
     return opened[0]
 
 
 def _has_token(session: zenoh.Session, rig: str) -> bool:
-    return any(reply.ok is not None for reply in session.liveliness().get(Keys(rig).daemon, timeout=ASK_S))
+    found = session.liveliness().get(Keys(rig).daemon, timeout=ASK_S)
+    return any(reply.ok is not None and str(reply.ok.key_expr) == Keys(rig).daemon for reply in found)
 
 
 def _rigs(session: zenoh.Session) -> list[str]:
@@ -144,12 +145,30 @@ def rigs(connect: str | None = None, key: pathlib.Path | str | None = None) -> l
         NoDaemonError: no daemon answers, or access is not allowed.
         ChoiceError: endpoint or key is not valid.
     """
-    endpoint = endpoint_of(connect)
-    session = _open(endpoint, credentials_of(endpoint, key))
+    route, owned = _route(endpoint_of(connect), None, key)
     try:
-        return _rigs(session)
+        session = _open(route, owned)
+        try:
+            return _rigs(session)
+        finally:
+            close(session)
     finally:
-        close(session)
+        route.leave()
+
+
+def _route(endpoint: str, rig: str | None, key: pathlib.Path | str | None) -> tuple[Route, Credentials | None]:
+    """The way to an endpoint, and the key for it. On the rig's own computer ``tls/`` needs no key: its socket is there.
+
+    Raises:
+        ChoiceError: the key cannot be used, or is missing.
+    """
+    try:
+        owned = credentials_of(endpoint, key)
+    except NoKeyError:
+        if (route := Route(endpoint, rig)).is_local:
+            return route, None
+        raise
+    return Route(endpoint, rig, certified=owned is not None), owned
 
 
 class Client:
@@ -178,19 +197,24 @@ class Client:
         if wanted is not None and not _RIG.fullmatch(wanted):
             raise ChoiceError(f"found rig {wanted!r}, expected a rig's name, e.g. paper_rig")
         self.leases: dict[str, str] = {}  # operator: lease id from the answers, sent with the operator's commands
-        self.refusals = Refusals()  # messages without the shape of the daemon's, or without its signature
+        self.refusals = Refusals()  # messages without the shape of the daemon's
         self._mailboxes: list[Mailbox] = []
-        owned = credentials_of(self.endpoint, key)
+        self.route, owned = _route(self.endpoint, wanted, key)
         self.person = owned.name if owned is not None else ""
         """Name in the certificate, by which the daemon knows this client; empty without one."""
-        self.session = _open(self.endpoint, owned)
         try:
-            rig = self._choose(wanted)
-            self.keys, self.trust = Keys(rig, self.person), Trust(rig, self.endpoint)
+            self.session = _open(self.route, owned)
+        except NoDaemonError:
+            self.route.leave()
+            raise
+        self._leave = self.route.followed()
+        try:
+            self.keys = Keys(self._choose(wanted), self.person)
             self._run_id = run_id
             self._check_run()
         except (NoDaemonError, ChoiceError):
             close(self.session)
+            self._leave()
             raise
 
     def _check_run(self) -> None:
@@ -201,19 +225,15 @@ class Client:
             )
 
     def _choose(self, wanted: str | None) -> str:
-        """The rig's name. Any session may declare a token, so a daemon with a key of this computer goes before others.
+        """The rig's name.
 
         Raises:
             NoDaemonError: no daemon answers.
             ChoiceError: several rigs answer and none is chosen.
         """
-        names = [wanted] if wanted is not None else sorted({one.rig for one in local_daemons()})
-        found = [name for name in names if _has_token(self.session, name)]
-        if len(found) > 1:
-            found = [name for name in found if self._is_proven(name)]
-        if len(found) == 1:
-            return found[0]
-        rigs = found or _rigs(self.session)
+        if wanted is not None and _has_token(self.session, wanted):
+            return wanted
+        rigs = _rigs(self.session)
         if wanted is not None and rigs and wanted not in rigs:
             raise NoDaemonError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
         if not rigs:
@@ -221,14 +241,6 @@ class Client:
         if wanted is None and len(rigs) > 1:
             raise ChoiceError(f"several rigs answer at {self.endpoint}: {', '.join(rigs)}; choose one with --rig")
         return wanted or rigs[0]
-
-    def _is_proven(self, rig: str) -> bool:
-        """Whether a daemon of this name answers with its signature."""
-        trust = Trust(rig, self.endpoint)
-        try:
-            return trust.verifies and self.ask(Keys(rig).state, check=shapes.state, trust=trust)[0]
-        except NoDaemonError:
-            return False
 
     def _nobody(self) -> NoDaemonError:
         return NoDaemonError(f"no daemon answers at {self.endpoint} ({ABSENT})")
@@ -244,27 +256,22 @@ class Client:
         payload: bytes | None = None,
         timeout_s: float = ASK_S,
         check: Check = bytes,
-        attachment: Attachment | None = None,
-        trust: Trust | None = None,
     ) -> tuple[bool, bytes]:
         """One query; returns whether it was answered (else refused), and the answer's bytes.
 
-        ``check``: raises MessageRefusedError for an answer of the wrong shape. Such an answer is skipped, as is one
-        without the daemon's signature, because anyone on the network may answer beside the daemon. ``attachment``: the
-        proofs of a command. ``trust``: of another rig than this client's.
+        ``check``: raises MessageRefusedError for an answer of the wrong shape. Such an answer is skipped, as is one on
+        more than one key: where nothing is verified anyone may answer beside the daemon.
 
         Raises:
             NoDaemonError: no answer.
             SchemaError: ``check`` expects a schema, and no answer has one that this client knows.
         """
         unknown: SchemaError | None = None
-        key, trust = selector.partition("?")[0], trust or self.trust
-        sent = attachment or Attachment(secrets.token_hex(NONCE_BYTES))
+        key = selector.partition("?")[0]
         # The answer gets the query's options: it never blocks the gateway, and has its own priority beside the data.
         replies = self.session.get(
             selector,
             payload=payload,
-            attachment=msgspec.json.encode(sent),
             timeout=timeout_s,
             congestion_control=zenoh.CongestionControl.DROP,
             priority=zenoh.Priority.DATA_LOW if payload is None else zenoh.Priority.DATA_HIGH,
@@ -279,15 +286,11 @@ class Client:
             try:
                 if len(answer.payload) > LONGEST_PAST:
                     raise MessageRefusedError(f"found {len(answer.payload)} bytes, expected at most {LONGEST_PAST}")
-                found, signature = bytes(answer.payload), None
-                if reply.ok is not None:
-                    signature = bytes(reply.ok.attachment) if reply.ok.attachment is not None else None
-                elif not found.startswith(b"{"):  # Zenoh's own text for a time-out
+                found = bytes(answer.payload)
+                if reply.ok is None and not found.startswith(b"{"):  # Zenoh's own text for a time-out
                     continue
-                else:
-                    found, signature = unsealed(found)
-                if not trust.is_answer(signature, sent.nonce, key, found, good=reply.ok is not None):
-                    raise MessageRefusedError("an answer that the daemon did not sign")
+                if reply.ok is not None and "*" in str(reply.ok.key_expr):
+                    raise MessageRefusedError("an answer on more than one key")
                 check(found) if reply.ok is not None else shapes.refusal(found)
             except MessageRefusedError as error:
                 self.refusals.add(key, error)
@@ -297,7 +300,16 @@ class Client:
         raise unknown or self._nobody()
 
     def _asked(self, selector: str, decode: Callable[[bytes], _Some]) -> _Some:
-        answered, payload = self.ask(selector, check=decode)
+        """What a reading query brings; repeated while it ends at once because a gateway starts anew."""
+        until = time.monotonic() + ASK_S
+        while True:
+            try:
+                answered, payload = self.ask(selector, check=decode)
+                break
+            except NoDaemonError:
+                if time.monotonic() >= until:
+                    raise
+                time.sleep(_AGAIN_S)
         if not answered:
             raise NoDaemonError(f"{selector}: {shapes.refusal(payload)['text']}")
         return decode(payload)
@@ -358,34 +370,23 @@ class Client:
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         operator = self.person or operator
         body = {"operator": operator} | body | ({"run_id": self._run_id} if self._run_id is not None else {})
-        payload, secret = msgspec.json.encode(body), self.trust.secret
+        if (takes := self.route.commands(self.rig)) and (lease := self.leases.get(operator)) is not None:
+            body["lease"] = lease
+        if not takes and name != _HOLD:
+            what, why = "LEASE" if name in ACTS else name.upper(), self.route.words(self.rig)
+            return {
+                "accepted": False, "verb": name, "operator": operator, "reason": "not_allowed",
+                "text": f"{what} refused: {why}",
+            }  # fmt: skip
         try:
-            answer = self._proven(name, operator, payload, limit_s)
-            if answer.get("reason") == _UNPROVEN and self.trust.is_renewed(secret):
-                answer = self._proven(name, operator, payload, limit_s)
-            if answer.get("reason") == _OLD and isinstance(now_ns := answer.get("now_ns"), int):
-                self.trust.set_clock(now_ns)  # the gateway started just now, or is on another computer
-                answer = self._proven(name, operator, payload, limit_s)
+            answered, found = self.ask(self.keys.command(name), msgspec.json.encode(body), limit_s, shapes.answer)
         except NoDaemonError:
             if not self.person:
                 raise
             raise NoDaemonError(f"{name} of {self.person} is not answered at {self.endpoint} ({ABSENT})") from None
-        return answer
-
-    def _proven(self, name: str, operator: str, payload: bytes, limit_s: float) -> dict[str, Any]:
-        """Give a command with its proofs; the answer's lease gets its ``id`` here, which is never sent."""
-        key, lease = self.keys.command(name), self.leases.get(operator)
-        private, public = exchange() if self.trust.certified and self.trust.secret is None else (None, None)
-        sent = self.trust.attachment(key, payload, lease, public)
-        answered, found = self.ask(key, payload, limit_s, shapes.answer, sent)
         answer = shapes.answer(found) if answered else shapes.refusal(found)
-        held = answer.get("lease") or {}
-        if (nonce := held.pop("nonce", None)) is not None:
-            theirs = held.pop("public", None)
-            secret = exchanged_key(private, theirs) if private is not None and theirs else self.trust.secret
-            lease = derived_key(secret, operator, sent.nonce, nonce) if secret is not None else None
-        if held.pop("proven", False) and lease is not None:
-            self.leases[operator] = held["id"] = lease
+        if takes and (id_ := (answer.get("lease") or {}).get("id")):
+            self.leases[operator] = id_
         return answer
 
     # -- streams --------------------------------------------------------------------------------------------
@@ -421,7 +422,7 @@ class Client:
         )
 
     def _mailbox(self, key: str, depth: int, longest: int) -> Mailbox:
-        mailbox = Mailbox(self.session, key, depth, self.refusals, longest, self.trust)
+        mailbox = Mailbox(self.session, key, depth, self.refusals, longest)
         self._mailboxes = [*(one for one in self._mailboxes if not one.closed), mailbox]
         return mailbox
 
@@ -436,6 +437,7 @@ class Client:
         for mailbox in self._mailboxes:
             mailbox.close()
         close(self.session)
+        self._leave()
 
     def __enter__(self) -> Self:
         return self

@@ -17,6 +17,8 @@ class Liveliness:
         self._subscriber = session.liveliness().declare_subscriber(key, self._take, history=True)
 
     def _take(self, sample: zenoh.Sample) -> None:
+        if "*" in str(sample.key_expr):
+            return
         with self._changed:
             self._alive = sample.kind == zenoh.SampleKind.PUT
             self._changed.notify_all()

@@ -1,22 +1,25 @@
-"""HOLD to a daemon of this computer that this user may command, without the network: see `rigctl.hold.service`."""
+"""HOLD to a daemon of this computer whose folder this user may believe, without the network."""
 
 from __future__ import annotations
 
 import contextlib
-import pathlib
+import json
+import math
+import os
 import socket
 from typing import Any
 
-import msgspec
-
 from rigctl.config.address import EVERY_ADDRESS, NETWORK_PROTOCOLS, Address, is_address
-from rigctl.ipc.folder_files import ACTIVE, FolderFiles, daemon_pid
+from rigctl.ipc import hold_socket
+from rigctl.ipc.folder_places import ACTIVE, FORMER_PUBLIC, PUBLIC, FolderPlaces, daemon_pid
 from rigctl.ipc.trusted_folders import trusted_folders
-from rigctl.wire.run_keys import PUBLIC_KEY
 
-CONNECT_S = 0.5
-ANSWER_S = 2.5  # the service answers within 1.5 s, even when the loop does not reply
-_ANSWER_BYTES = 1 << 16
+ANSWER_S = 1.5  # the loop answers in the tick that takes it; longer is for a busy computer
+VIA = "local socket"
+FORMER = "hold.sock"
+FORMER_CONNECT_S = 0.5
+FORMER_ANSWER_S = 2.5  # that service answers within 1.5 s, even when the loop does not reply
+_FORMER_BYTES = 1 << 16
 _USUAL = {"localhost", "127.0.0.1", "::1"}  # names of one computer, which the same daemon is reached at
 
 
@@ -31,8 +34,8 @@ def same_endpoint(connect: str, listen: str) -> bool:
     return ours.port == daemons.port and ours.host in _USUAL and daemons.host in _USUAL | EVERY_ADDRESS.keys()
 
 
-def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
-    """Hold socket of the daemon of this computer that listens at ``endpoint``, named ``rig`` if given.
+def folder_of(endpoint: str, rig: str | None) -> FolderPlaces | None:
+    """Run-time folder of the daemon of this computer that listens at ``endpoint``, named ``rig`` if given.
 
     Only a daemon whose folder this user may believe is found (`rigctl.ipc.trusted_folders`).
 
@@ -41,38 +44,60 @@ def socket_of(endpoint: str, rig: str | None) -> pathlib.Path | None:
     for folder in trusted_folders():
         if not daemon_pid(folder):
             continue
-        with contextlib.suppress(OSError, msgspec.MsgspecError, RecursionError, KeyError, TypeError):
-            found = FolderFiles(folder)
+        with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
+            found = FolderPlaces(folder)
             if rig not in (None, folder.name.removeprefix("rigctl-")):
                 continue
             if same_endpoint(endpoint, _listen(found)):
-                return found.hold_socket
+                return found
     return None
 
 
-def _listen(folder: FolderFiles) -> str:
-    """The daemon's endpoint: from its settings, or, for operators of the installed service, from its public key."""
-    with contextlib.suppress(OSError, msgspec.MsgspecError):
-        if active := folder.read_json(ACTIVE):
-            return str(active["settings"]["telemetry"]["listen"])
-    return str(folder.read_json(PUBLIC_KEY)["listen"])
+def _listen(folder: FolderPlaces) -> str:
+    """The daemon's endpoint: from its settings, or, for operators of the installed service, from its public file."""
+    with contextlib.suppress(OSError, ValueError):
+        return str(json.loads(folder.sealed(ACTIVE))["settings"]["telemetry"]["listen"])
+    with contextlib.suppress(OSError, ValueError):
+        return str(json.loads(folder.sealed(PUBLIC))["listen"])
+    return str(json.loads(folder.sealed(FORMER_PUBLIC))["listen"])
 
 
 def hold(endpoint: str, rig: str | None, operator: str) -> dict[str, Any] | None:
-    """Give HOLD on the local socket; returns the answer, or None without one: then give it over the network.
+    """Give HOLD on a local socket; returns the answer, or None without one: then give it over the network.
 
     A second HOLD does no harm if the first was carried out without an answer.
     """
-    path = socket_of(endpoint, rig)
-    if path is None:
+    if (folder := folder_of(endpoint, rig)) is None:
         return None
+    for uid in (os.geteuid(), None):
+        with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
+            given = hold_socket.give(folder.place(hold_socket.socket_name(uid)), operator, ANSWER_S)
+            return None if given is None else _worded(given, operator)
+    return _former(folder, operator)
+
+
+def _worded(given: hold_socket.HoldAnswer, operator: str) -> dict[str, Any]:
+    """The answer as the gateway gives it."""
+    value = given.tension_n if math.isfinite(given.tension_n) else None
+    about = {"mode": given.mode, "t_ns": given.t_ns, "value": value, "via": VIA}
+    if given.accepted:
+        done = hold_socket.HELD.format(stroke=f"{given.stroke_mm:z.2f} mm", tension=f"{given.tension_n:z.1f} N")
+        return {"accepted": True, "verb": "hold", "operator": operator, "text": f"HOLD: {done}", **about}
+    from rigctl.wire.command_request import hold_refused  # slow: a refusal has time
+
+    return hold_refused(given, operator) | about
+
+
+def _former(folder: FolderPlaces, operator: str) -> dict[str, Any] | None:
+    """HOLD to a daemon of the version before, which may be armed while the package is upgraded: by its hold service."""
+    place = folder.directory / "hold" / FORMER if folder.is_shared else folder.directory / FORMER
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(CONNECT_S)
-            connection.connect(str(path))
-            connection.send(msgspec.json.encode({"operator": operator}))
-            connection.settimeout(ANSWER_S)
-            found = msgspec.json.decode(connection.recv(_ANSWER_BYTES))
-    except (OSError, msgspec.MsgspecError):
+            connection.settimeout(FORMER_CONNECT_S)
+            connection.connect(str(place))
+            connection.send(json.dumps({"operator": operator}).encode())
+            connection.settimeout(FORMER_ANSWER_S)
+            found = json.loads(connection.recv(_FORMER_BYTES))
+    except (OSError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) and {"accepted", "text"} <= found.keys() else None

@@ -10,7 +10,6 @@ from collections.abc import Callable
 import zenoh
 
 from rigctl.client.shapes import LONGEST_MESSAGE, Refusals
-from rigctl.client.trust import Trust
 
 
 class Mailbox:
@@ -18,13 +17,9 @@ class Mailbox:
 
     def __init__(
         self, session: zenoh.Session, key: str, depth: int, refusals: Refusals | None = None,
-        longest: int = LONGEST_MESSAGE, trust: Trust | None = None,
+        longest: int = LONGEST_MESSAGE,
     ) -> None:  # fmt: skip
-        """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread.
-
-        ``trust``: payloads that the daemon did not sign are refused, as are those it signed before a later one.
-        """
-        self._trust, self._stamps = trust, dict[str, int]()
+        """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread."""
         self.refusals = refusals if refusals is not None else Refusals()
         self._key, self._longest = key, longest
         self.closed = False
@@ -37,25 +32,11 @@ class Mailbox:
         if len(sample.payload) > self._longest:
             self.refuse(f"found {len(sample.payload)} bytes, expected at most {self._longest}")
             return
-        payload = bytes(sample.payload)
-        if self._trust is not None and not self._is_new(sample, payload):
+        if "*" in str(sample.key_expr):  # a message on many keys passes rules for one: see rigctl.wire.access_control
+            self.refuse("a message on more than one key")
             return
-        self._waiting.append(payload)
+        self._waiting.append(bytes(sample.payload))
         self._ring()
-
-    def _is_new(self, sample: zenoh.Sample, payload: bytes) -> bool:
-        """Whether the daemon published this, and not before the last message of this key."""
-        assert self._trust is not None
-        seal, key = bytes(sample.attachment) if sample.attachment is not None else None, str(sample.key_expr)
-        stamp = self._trust.stamp_of(seal, key, payload)
-        if stamp is None:
-            self.refuse("a message that the daemon did not sign")
-            return False
-        if stamp and stamp <= self._stamps.get(key, 0):
-            self.refuse("a message that the daemon published earlier")
-            return False
-        self._stamps[key] = stamp
-        return True
 
     def refuse(self, why: object) -> None:
         """Count a payload that does not have the shape of the daemon's."""

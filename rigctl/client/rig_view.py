@@ -15,6 +15,7 @@ from typing import Any
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.shapes import Message
 from rigctl.wire.alarms import Alarms
+from rigctl.wire.mode_origin import ModeOrigin
 from rigctl.wire.passed_limits import PassedLimits
 
 EVENTS_HELD = 200
@@ -34,6 +35,7 @@ class RigView:
         self.events_serial = 0  # changes with ``events``
         self.limits = PassedLimits()
         self.alarms = Alarms()
+        self.origin = ModeOrigin()
         self.refused = ""  # number of messages without the shape of a daemon's, in words
         self._state_at = time.monotonic()
 
@@ -71,12 +73,14 @@ class RigView:
                 self.events_serial += 1
                 self.limits.clear()
                 self.alarms.clear()
+                self.origin.clear()
             known = {(event["t_ns"], event["seq"]) for event in self.events}
             for event in events:
                 if (event["t_ns"], event["seq"]) not in known:
                     self.events.append(event)
                     self.limits.note(event)
                     self.alarms.note(event)
+                    self.origin.note(event)
                     self.events_serial += 1
 
 

@@ -130,6 +130,8 @@ class _AnyState(msgspec.Struct):
     wall_ns: Time
     age_ms: Bounded | None
     rig: Line = ""
+    held_by: Word | None = None
+    power_off: Word | None = None
     calibration: _Calibration | None = None
     lease: _LeaseShown | None = None
     preflight: _Preflight | None = None
@@ -150,6 +152,7 @@ class _Derived(_AnyState, kw_only=True):
     fault: Word | None
     fault_text: Line
     flag_names: Lines
+    held_by: Line = ""
     quality: _Quality
     error_n: Real | None
     error_pct: Real | None

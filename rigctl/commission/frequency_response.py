@@ -17,7 +17,7 @@ are from the command sent with a SYNC to the value latched by that SYNC, as in `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,7 @@ import numpy.typing as npt
 from rigctl.commission.identification import PITCH_SHARE, IdentificationError, student_t
 from rigctl.commission.motion import Array
 from rigctl.config.quantity import count
+from rigctl.control.events import Unmeasured
 from rigctl.devices.objects import MM_PER_POSITION_UNIT, MM_S_PER_VELOCITY_16_UNIT
 from rigctl.ipc.record import Flag
 
@@ -42,6 +43,7 @@ class Spectra:
     """Complex amplitudes, shape (M periods, harmonics 0 to the highest excited): mm/s, mm/s, N, mm, mm/s.
 
     ``excited``: the harmonics of the multisine. ``tension``, ``stroke``, ``speed``: at the SYNC of the command.
+    ``left_out``: how many more periods there were, in which the loop skipped ticks or the law's limits acted.
     """
 
     period_s: float
@@ -52,6 +54,7 @@ class Spectra:
     tension: ComplexArray
     stroke: ComplexArray
     speed: ComplexArray
+    left_out: int = 0
 
     @property
     def frequencies_hz(self) -> Array:
@@ -125,7 +128,10 @@ def spectra(
     if np.count_nonzero(good) < FEWEST_PERIODS:
         many = np.count_nonzero(limits) > np.count_nonzero(skips)
         why = "the command was limited" if many else "the computer had the loop skip periods"
-        raise IdentificationError(f"{why} in {np.count_nonzero(bad)} of {whole} periods of the excitation: repeat it")
+        raise IdentificationError(
+            f"{why} in {np.count_nonzero(bad)} of {whole} periods of the excitation: repeat it",
+            Unmeasured.LIMITED if many else Unmeasured.SKIPPED,
+        )
     kept = np.arange(max(harmonics) + 2)
 
     def amplitudes(name: str, where: slice) -> ComplexArray:
@@ -146,6 +152,7 @@ def spectra(
         amplitudes("tension_n", latched),
         amplitudes("stroke_mm", latched),
         amplitudes("speed_mm_s", latched),
+        whole - int(np.count_nonzero(good)),
     )
 
 
@@ -244,5 +251,5 @@ def plant_response(found: Spectra) -> PlantResponse:
 def without(found: Spectra, period: int) -> Spectra:
     """The same without one of the periods, for a jackknife."""
     kept = np.delete(np.arange(found.periods), period)
-    parts = (found.excitation, found.command, found.tension, found.stroke, found.speed)
-    return Spectra(found.period_s, found.tick_s, found.excited, *(part[kept] for part in parts))
+    parts = ("excitation", "command", "tension", "stroke", "speed")
+    return replace(found, **{name: getattr(found, name)[kept] for name in parts})

@@ -3,14 +3,15 @@
 The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down, the first
 of them shorter. Each quantity is fitted over all pairs and stated with its expanded uncertainty at 95 % (JCGM 100,
 Student's t for the number of pairs). That has two parts: the scatter of the fits to single pairs, which holds for any
-kind of noise, and errors that are the same in every pair (the screw's pitch error, the drive's own cycle).
+kind of noise, and errors that are the same in every pair (the screw's pitch error).
 
     tau dv/dt = u(t - Td) - v, ds/dt = v   fitted to the position, which the drive latches at the SYNC
     T = T0 + drift t + k q(s) + c v        q: the stroke behind a play of the width of the backlash
 
 The speed a drive reports is not latched but a mean over some time before: its age is its delay less that of the
-position. As in the estimator, a sample latched by the SYNC of tick n - 1 is read in tick n; ``Td`` does not include
-that tick.
+position. A sample latched by the SYNC of one tick is read in the next. On a busy computer a tick wakes late and sends
+its SYNC late: command and sample are taken at the time of the SYNC. A pair in which the loop skipped a tick is left
+out, for a drive may do as it likes with a command that does not come.
 """
 
 from __future__ import annotations
@@ -20,29 +21,34 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
-from rigctl.commission.motion import Array, behind_play, delayed, response
+from rigctl.commission.motion import Array, HeldCommand, behind_play
 from rigctl.config import quantity
+from rigctl.control.events import Unmeasured
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 
-LATCH_TICKS = 1.0
 PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder shows it
 PITCH_SHARE = 2.0 * math.pi * PITCH_ERROR_MM / PITCH_LEAD_MM  # of a small stroke, at most
-DRIVE_CYCLE_S = 0.125e-3  # a servo drive takes a command at its own cycle, which is not in phase with the bus
-ROUNDING_MM = 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0)  # at 95 %, taken as normal
 SHORTEST = 0.5  # of the longest step: shorter steps are the careful first ones and are not fitted
 MOVING_MM_S = 1e-6
-FEWEST_PAIRS = 3
-_DELAYS = range(0, 41, 2)  # ticks, start values of the search
+FEWEST_PAIRS = 4
+FEWEST_MOVING = 20  # ticks of a pair
+_DELAYS_S = np.arange(0.0, 0.041, 0.002)  # start values of the search
 _LAGS_S = (0.003, 0.006, 0.012, 0.025, 0.05, 0.1)
 _ITERATIONS = 12
 _LOOKS, _PLAY_STEPS = 12, 16
 _GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 _NOISE_WINDOW_S = 0.1  # slower changes are motion, not noise
+_DELAY_STEP_S = 5e-5  # of a slope
 
 
 class IdentificationError(ValueError):
-    """The records do not determine the plant; ``str()`` says why, in one line."""
+    """The records do not determine the plant; ``str()`` says why, in one line, ``reason`` its kind."""
+
+    def __init__(self, why: str, reason: Unmeasured = Unmeasured.OTHER) -> None:
+        super().__init__(why)
+        self.reason = reason
 
 
 @dataclass(frozen=True)
@@ -55,19 +61,58 @@ class Estimated:
 
 @dataclass(frozen=True)
 class TrialSignals:
-    """Columns of the records, one value per tick: s, mm, mm/s, mm/s, N. ``speed`` and ``tension`` as measured."""
+    """Columns of the records, one value per tick: s, mm/s, mm, mm/s, N. ``speed`` and ``tension`` as measured.
 
-    period_s: float
+    ``at_s``: when the tick's SYNC was sent. ``late``: the loop skipped ticks just before the tick.
+    """
+
+    at_s: Array
     command: Array
     stroke: Array
     speed: Array
     tension: Array
+    late: npt.NDArray[np.bool_]
 
-    def part(self, where: slice) -> TrialSignals:
-        """The signals over some of the ticks."""
-        return TrialSignals(
-            self.period_s, self.command[where], self.stroke[where], self.speed[where], self.tension[where]
-        )
+    @property
+    def latched_s(self) -> Array:
+        """When the samples of each tick were latched: at the SYNC of the tick before."""
+        return np.concatenate([[2.0 * self.at_s[0] - self.at_s[1]], self.at_s[:-1]])
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Ticks of each pair of steps, in order, from its first command up to that of the next pair.
+
+    ``kept``: those to fit; ``late``: how many were left out because the loop skipped ticks in them.
+    """
+
+    first: slice
+    kept: tuple[slice, ...]
+    late: int
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The ticks of each pair that a fit uses."""
+
+    parts: list[npt.NDArray[np.intp]]
+
+    def centred(self, values: Array) -> Array:
+        """The values over these ticks, each pair about its own mean."""
+        return np.concatenate([values[part] - values[part].mean() for part in self.parts])
+
+    def split(self, values: Array) -> list[Array]:
+        """What `centred` has put together, pair by pair."""
+        return np.split(values, np.cumsum([len(part) for part in self.parts])[:-1])
+
+    def moving(self, stroke: Array) -> Fitted:
+        """Without the rests, as far as a pair moves: there the rounding of the position is the same all the time."""
+        found = []
+        for part in self.parts:
+            low, high = stroke[part].min() + MM_PER_POSITION_UNIT, stroke[part].max() - MM_PER_POSITION_UNIT
+            moving = part[(stroke[part] > low) & (stroke[part] < high)]
+            found.append(moving if len(moving) >= FEWEST_MOVING else part)
+        return Fitted(found)
 
 
 @dataclass(frozen=True)
@@ -89,12 +134,13 @@ class Rope:
     backlash_mm: Estimated
 
 
-def pairs_of(command: Array) -> list[slice]:
-    """Ticks of each pair of steps: from its first command up to that of the next pair.
+def pairs_of(signals: TrialSignals) -> Pairs:
+    """The pairs of long steps.
 
     Raises:
-        IdentificationError: there are too few pairs.
+        IdentificationError: there are too few pairs, or too few without a skipped tick.
     """
+    command = signals.command
     moving = np.flatnonzero(np.abs(command) > MOVING_MM_S)
     if not len(moving):
         raise IdentificationError("nothing was commanded in these records")
@@ -104,30 +150,71 @@ def pairs_of(command: Array) -> list[slice]:
     ends = [*rises[1:].tolist(), min(len(command), int(2 * rises[-1] - rises[-2]))]
     found = [slice(int(rise), end) for rise, end in zip(rises, ends, strict=True)]
     strokes = [float(np.maximum(command[where], 0.0).sum()) for where in found]
-    return [where for where, stroke in zip(found, strokes, strict=True) if stroke >= SHORTEST * max(strokes)]
+    long = [where for where, stroke in zip(found, strokes, strict=True) if stroke >= SHORTEST * max(strokes)]
+    kept = tuple(where for where in long if not signals.late[where.start + 1 : where.stop].any())
+    late = len(long) - len(kept)
+    if len(kept) < FEWEST_PAIRS:
+        why = f"the computer had the loop skip ticks in {late} of {quantity.count(len(long), 'repetition')}"
+        if not late:
+            why = f"{quantity.count(len(long), 'pair')} of long steps in these records"
+        raise IdentificationError(f"{why}, {FEWEST_PAIRS} are needed: repeat it", Unmeasured.SKIPPED)
+    return Pairs(long[0], kept, late)
 
 
-def drive(signals: TrialSignals) -> Drive:
+def drive(signals: TrialSignals, pairs: Pairs) -> Drive:
     """Fit lag, delay and gain of the drive."""
-    everything = _fit_drive(signals, None)
-    # A pair is affected by the step before it only in its first ticks, much less than half of a rest.
-    pairs = pairs_of(signals.command)
-    single = np.array([_fit_drive(signals.part(where), everything) for where in pairs])
-    ages = np.array([_speed_delay(signals.part(where), everything) - everything[1] for where in pairs])
-    (lag_s, delay, gain), errors, period = everything, _scatter(single), signals.period_s
-    moved = gain * _moved(signals, lag_s, delay)
-    fitted = moved - moved.mean() + signals.stroke.mean()
+    held, latched_s = HeldCommand(signals.command, signals.at_s), signals.latched_s
+
+    def moved(lag_s: float, delay_s: float) -> Array:
+        """Of a drive with unit gain: the response and its integral, ds = u dt - tau dv."""
+        when_s = latched_s - delay_s
+        return held.integral(when_s) - lag_s * held.response(lag_s, when_s)
+
+    whole = Fitted([np.arange(where.start, where.stop) for where in pairs.kept])
+    starts = [(lag_s, float(delay_s)) for lag_s in _LAGS_S for delay_s in _DELAYS_S]
+    lag_s, delay_s, _ = _fit_drive(whole, moved, signals.stroke, starts)
+    swift = whole.moving(moved(lag_s, delay_s))
+    lag_s, delay_s, gain = _fit_drive(swift, moved, signals.stroke, [(lag_s, delay_s)])
+    everywhere = gain * moved(lag_s, delay_s)
+    by_lag, by_delay = (gain * slope for slope in _slopes(moved, lag_s, delay_s))
+    errors = _scatter(_moves(swift, (by_lag, by_delay, everywhere / gain), signals.stroke - everywhere))
+    rounding_s = _rounding_s(signals, pairs)
+
+    def slow(late_s: float) -> Array:
+        return gain * held.response(lag_s, latched_s - late_s)
+
+    def cost(late_s: float) -> float:
+        return float(np.sum(whole.centred(signals.speed - slow(late_s)) ** 2))
+
+    speed_s = _least(cost, max(0.0, delay_s - 0.005), delay_s + 0.02)
+    by_age = (slow(speed_s + _DELAY_STEP_S) - slow(speed_s)) / _DELAY_STEP_S
+    age_error = _scatter(_moves(whole, (by_age,), signals.speed - slow(speed_s)))
+    fitted = everywhere - everywhere.mean() + signals.stroke.mean()
     exact = float(np.std(signals.stroke - fitted)) < MM_PER_POSITION_UNIT
-    # The rounding of the position is nearly the same in every pair, so the scatter does not show it.
-    rounded_s = ROUNDING_MM / float(np.abs(signals.command).max())
-    rounded_share = ROUNDING_MM / float(np.ptp(fitted)) / math.sqrt(len(pairs))
     return Drive(
-        Estimated(lag_s, math.hypot(float(errors[0]), DRIVE_CYCLE_S, rounded_s)),
-        Estimated((delay - LATCH_TICKS) * period, math.hypot(float(errors[1]) * period, DRIVE_CYCLE_S, rounded_s)),
-        Estimated(gain, math.hypot(float(errors[2]), gain * rounded_share)),
-        Estimated(float(ages.mean()) * period, float(_scatter(ages[:, None])[0]) * period),
+        Estimated(lag_s, math.hypot(float(errors[0]), rounding_s)),
+        Estimated(delay_s, math.hypot(float(errors[1]), rounding_s)),
+        Estimated(gain, float(errors[2])),
+        Estimated(speed_s - delay_s, float(age_error[0])),
         fitted if exact else signals.stroke,
     )
+
+
+def _rounding_s(signals: TrialSignals, pairs: Pairs) -> float:
+    """How far off in time the position's rounding puts a fit, at 95 %: nearly the same in every pair of a small stroke.
+
+    It is the standard deviation of a rounded position over the speed, over the root of the units that a step passes.
+    """
+    first = pairs.kept[0]
+    speed_mm_s = float(np.abs(signals.command[first]).max())
+    units = max(1.0, float(np.ptp(signals.stroke[first])) / MM_PER_POSITION_UNIT)
+    return 2.0 * MM_PER_POSITION_UNIT / math.sqrt(12.0 * units) / speed_mm_s
+
+
+def _moves(over: Fitted, slopes: tuple[Array, ...], residual: Array) -> Array:
+    """By how much the fit to each pair alone differs from that to all, rows of values: one step of Gauss and Newton."""
+    parts = zip(*(over.split(over.centred(each)) for each in (*slopes, residual)), strict=True)
+    return np.array([np.linalg.lstsq(np.column_stack(part[:-1]), part[-1], rcond=None)[0] for part in parts])
 
 
 def _scatter(single: Array) -> Array:
@@ -144,87 +231,61 @@ def student_t(freedom: int) -> float:
     return float(z + sum(term / freedom**power for power, term in enumerate(terms, 1)))
 
 
-def _moved(signals: TrialSignals, lag_s: float, delay: float) -> Array:
-    """Stroke in mm of a drive with unit gain: the response and its integral, ds = u dt - tau dv."""
-    held = delayed(signals.command, delay)
-    swift = response(signals.command, signals.period_s / lag_s, delay)
-    return held * signals.period_s - lag_s * swift
+_Shape = Callable[[float, float], Array]
 
 
-def _speed_delay(signals: TrialSignals, known: tuple[float, float, float]) -> float:
-    """Delay in ticks of the reported speed, with lag and gain known."""
-    lag_s, delay, gain = known
+def _fit_drive(
+    over: Fitted, moved: _Shape, stroke: Array, starts: list[tuple[float, float]]
+) -> tuple[float, float, float]:
+    """Lag in s, delay in s, gain: least squares, Gauss-Newton in the first two from the best of ``starts``."""
+    measured = over.centred(stroke)
 
-    def cost(tried: float) -> float:
-        residual = signals.speed - gain * response(signals.command, signals.period_s / lag_s, tried)
-        return float(residual @ residual)
+    def residual(lag_s: float, delay_s: float) -> Array:
+        shape = over.centred(moved(lag_s, delay_s))
+        return measured - _gain(shape, measured) * shape
 
-    return _least(cost, max(0.0, delay - 5.0), delay + 20.0)
+    def cost(lag_s: float, delay_s: float) -> float:
+        left = residual(lag_s, delay_s)
+        return float(left @ left)
 
-
-def _fit_drive(signals: TrialSignals, start: tuple[float, float, float] | None) -> tuple[float, float, float]:
-    """Lag in s, whole delay in ticks, gain: least squares, Gauss-Newton in the first two."""
-
-    def solve(lag_s: float, delay: float) -> tuple[Array, float]:
-        return _scaled(_moved(signals, lag_s, delay), signals.stroke)
-
-    def cost(lag_s: float, delay: float) -> float:
-        residual, _ = solve(lag_s, delay)
-        return float(residual @ residual)
-
-    lag_s, delay = start[:2] if start else _first_look(signals)
-    best = cost(lag_s, delay)
+    lag_s, delay_s = min(starts, key=lambda start: cost(*start))
+    best = cost(lag_s, delay_s)
     for _ in range(_ITERATIONS):
-        residual, _ = solve(lag_s, delay)
-        steps = 0.01 * lag_s, 0.05
-        slopes = np.column_stack(
-            [
-                (residual - solve(lag_s + steps[0], delay)[0]) / steps[0],
-                (residual - solve(lag_s, delay + steps[1])[0]) / steps[1],
-            ]
-        )
-        move, *_ = np.linalg.lstsq(slopes, residual, rcond=None)
+        slopes = np.column_stack(_slopes(residual, lag_s, delay_s))
+        move, *_ = np.linalg.lstsq(slopes, residual(lag_s, delay_s), rcond=None)
         for shorter in (1.0, 0.5, 0.25, 0.125):
-            tried = max(lag_s + shorter * float(move[0]), 1e-4), max(delay + shorter * float(move[1]), 0.0)
+            tried = max(lag_s - shorter * float(move[0]), 1e-4), max(delay_s - shorter * float(move[1]), 0.0)
             if (found := cost(*tried)) < best:
-                (lag_s, delay), best = tried, found
+                (lag_s, delay_s), best = tried, found
                 break
         else:
             break
-    return lag_s, delay, solve(lag_s, delay)[1]
+    return lag_s, delay_s, _gain(over.centred(moved(lag_s, delay_s)), measured)
 
 
-def _scaled(shape: Array, stroke: Array) -> tuple[Array, float]:
-    """Residual of the measured stroke after a fit of ``shape`` by scale and offset; and the scale."""
-    columns = np.column_stack([shape, np.ones_like(shape)])
-    weights, *_ = np.linalg.lstsq(columns, stroke, rcond=None)
-    return stroke - columns @ weights, float(weights[0])
+def _gain(shape: Array, stroke: Array) -> float:
+    square = float(shape @ shape)
+    return float(shape @ stroke) / square if square else 0.0
 
 
-def _first_look(signals: TrialSignals) -> tuple[float, float]:
-    """Best lag in s and delay in ticks of a coarse grid; whole ticks, so that one response serves all delays."""
-    left: dict[tuple[float, float], float] = {}
-    for lag_s in _LAGS_S:
-        prompt = _moved(signals, lag_s, 0.0)
-        for delay in _DELAYS:
-            shape = np.concatenate([np.zeros(delay), prompt])[: len(prompt)]
-            residual, _ = _scaled(shape, signals.stroke)
-            left[lag_s, float(delay)] = float(residual @ residual)
-    return min(left, key=left.__getitem__)
+def _slopes(of: _Shape, lag_s: float, delay_s: float) -> tuple[Array, Array]:
+    """Along lag and delay."""
+    at, lag_step_s = of(lag_s, delay_s), 0.01 * lag_s
+    by_lag = (of(lag_s + lag_step_s, delay_s) - at) / lag_step_s
+    return by_lag, (of(lag_s, delay_s + _DELAY_STEP_S) - at) / _DELAY_STEP_S
 
 
-def rope(signals: TrialSignals, drive: Drive, noise_n: float) -> Rope:
+def rope(signals: TrialSignals, pairs: Pairs, drive: Drive, noise_n: float) -> Rope:
     """Fit stiffness and backlash; the first pair is left out, since the nut's place in its play is unknown there.
 
     ``noise_n``: upper bound of the cell's noise. A larger residual means that the model of a spring behind a play does
     not fit, and adds to both uncertainties.
     """
     signals = replace(signals, stroke=drive.stroke)
-    pairs = pairs_of(signals.command)[1:]
-    after_first = slice(pairs[0].start, pairs[-1].stop)
-    reach_mm = float(np.ptp(signals.stroke[after_first]))
-    stiffness, backlash, left_n, explained_n = _fit_rope(signals, after_first, reach_mm)
-    single = np.array([_fit_rope(signals, part, reach_mm)[:2] for part in pairs])
+    parts = [where for where in pairs.kept if where != pairs.first]
+    reach_mm = max(float(np.ptp(signals.stroke[part])) for part in parts)
+    stiffness, backlash, left_n, explained_n = _fit_rope(signals, parts, reach_mm)
+    single = np.array([_fit_rope(signals, [part], reach_mm)[:2] for part in parts])
     errors = _scatter(single)
     # The pitch error is the same in every pair: at worst, the part of its sine that lies in this stroke.
     pitch_mm = 2.0 * PITCH_ERROR_MM * math.sin(min(0.5, reach_mm / PITCH_LEAD_MM) * math.pi)
@@ -233,22 +294,24 @@ def rope(signals: TrialSignals, drive: Drive, noise_n: float) -> Rope:
     random_n_mm = math.hypot(float(errors[0]), *(stiffness * share for share in shares))
     return Rope(
         Estimated(stiffness, random_n_mm + abs(stiffness) * pitch_mm / reach_mm),  # a bound adds linearly
-        Estimated(backlash, math.hypot(float(errors[1]), pitch_mm, reach_mm * misfit)),
+        # The pitch error is the same function of the stroke up and down, which is no play. The stroke is the fitted one
+        # where that is within a unit of the position.
+        Estimated(backlash, math.hypot(float(errors[1]), MM_PER_POSITION_UNIT, reach_mm * misfit)),
     )
 
 
-def _fit_rope(signals: TrialSignals, part: slice, reach_mm: float) -> tuple[float, float, float, float]:
+def _fit_rope(signals: TrialSignals, parts: list[slice], reach_mm: float) -> tuple[float, float, float, float]:
     """Stiffness, backlash, rms of the residual and rms explained by the stroke in N.
 
     The play is found by search for the least residual, the rest by linear least squares.
     """
-    where = np.arange(part.start, part.stop)
-    before = max(0, 2 * part.start - part.stop)  # the ticks before show the nut's place in its play
-    stroke = signals.stroke[before : part.stop]
-    time = (where - where.mean()) * signals.period_s
+    where = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    before = max(0, 2 * parts[0].start - parts[0].stop)  # the ticks before show the nut's place in its play
+    stroke = signals.stroke[before : parts[-1].stop]
+    time = signals.at_s[where] - signals.at_s[where].mean()
 
     def solve(play_mm: float) -> tuple[float, float, float]:
-        nut = behind_play(stroke, play_mm)[part.start - before :]
+        nut = behind_play(stroke, play_mm)[where - before]
         columns = np.column_stack([nut - nut.mean(), signals.speed[where], time, np.ones(len(where))])
         weights, *_ = np.linalg.lstsq(columns, signals.tension[where], rcond=None)
         residual = signals.tension[where] - columns @ weights

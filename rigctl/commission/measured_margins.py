@@ -8,8 +8,10 @@ Between the excited frequencies L follows the plant fitted to the same records a
     L(w) = rho(w) L_model(w),   L_model = -(C_T P_T + C_v P_v)
 
 with rho a complex polynomial in log w, fitted to the measured L with the least degree that explains it: 1 where plant
-and controller are as modelled, and what corrects the model where they are not. The sensitivity at the tension output is
-(1 - C_v P_v) S, as in `rigctl.design.margins`. The uncertainty of a peak is that of a jackknife over the periods.
+and controller are as modelled, and what corrects the model where they are not. Beyond the excited frequencies rho keeps
+its last value, and plant and controller continue L to the Nyquist frequency: a sensitivity that still rises at the edge
+of the band has its peak beyond it. The sensitivity at the tension output is (1 - C_v P_v) S, as in
+`rigctl.design.margins`. The uncertainty of a peak is that of a jackknife over the periods.
 """
 
 from __future__ import annotations
@@ -30,8 +32,9 @@ from rigctl.config.plant_section import PlantSettings
 Controller = Callable[[Array], tuple[ComplexArray, ComplexArray]]
 """Frequencies in Hz to the command per tension (mm/s per N) and per speed (1), positive feedback."""
 
-POINTS = 400  # between the lowest and the highest frequency
-BEYOND = 1.3  # that far outside the excited band the model is still believed
+POINTS = 600  # between the lowest and the highest frequency
+BELOW, TOP = 1.3, 0.9  # the curves begin so far below the excited band, and end at this share of the Nyquist frequency
+COVERED = 1.1  # that far outside the excited band a peak is as good as measured
 NEAR_POINTS, NEAR = 41, 0.1  # extra points within +-10 % of a resonance
 _DEGREES = range(6)
 _EXPLAINED = 1.2  # mean square of what is left over its variance
@@ -57,7 +60,8 @@ class LoopResponse:
 class MeasuredMargins:
     """Ms at plant input and tension output with the uncertainty at 95 %, the frequency of the greater one, the curves.
 
-    ``measured``: from a closed loop; else predicted from the plant and the controller.
+    ``measured``: from a closed loop; else predicted from the plant and the controller. ``covered_hz``: the highest
+    frequency excited; a peak above it is continued by the plant found, see ``beyond``.
     """
 
     ms_input: Estimated
@@ -66,6 +70,14 @@ class MeasuredMargins:
     curves: LoopResponse
     plant: PlantFit
     measured: bool
+    covered_hz: float
+    at_least: float = 1.0
+    """Largest |S| over the lines less its error: Ms is at least that, whatever is beyond them."""
+
+    @property
+    def beyond(self) -> bool:
+        """The peak is above the excited frequencies: the plant found and the controller put it there."""
+        return self.peak_hz > COVERED * self.covered_hz
 
     @property
     def ms(self) -> Estimated:
@@ -98,7 +110,9 @@ def measure(
     )
     higher = np.maximum(np.abs(curves.at_input), np.abs(curves.at_output))
     peak_hz = float(curves.frequencies_hz[int(np.argmax(higher))])
-    return MeasuredMargins(at_input, at_output, peak_hz, curves, plant, measured)
+    covered_hz = float(response.frequencies_hz[-1])
+    least = float((np.abs(response.sensitivity.value) - response.sensitivity.gain_error).max()) if measured else 1.0
+    return MeasuredMargins(at_input, at_output, peak_hz, curves, plant, measured, covered_hz, max(least, 1.0))
 
 
 def loop_response(
@@ -119,7 +133,7 @@ def _modelled(
     plant: PlantModel, controller: Controller, frequencies_hz: Array, tick_s: float
 ) -> tuple[ComplexArray, ComplexArray]:
     """L, and the part of the drive-speed loop in it, C_v P_v."""
-    tension, _, speed = plant.responses(frequencies_hz, tick_s)
+    tension, speed = plant.sampled(frequencies_hz, tick_s)
     per_tension, per_speed = controller(frequencies_hz)
     return -(per_tension * tension + per_speed * speed), per_speed * speed
 
@@ -164,7 +178,7 @@ class _Correction:
 
 def _grid(lines: Array, plant: PlantModel, nyquist_hz: float) -> Array:
     """Frequencies in Hz, logarithmic, denser about the mechanism's resonances."""
-    low, high = float(lines[0]) / BEYOND, min(float(lines[-1]) * BEYOND, 0.9 * nyquist_hz)
+    low, high = float(lines[0]) / BELOW, TOP * nyquist_hz
     near = np.linspace(1.0 - NEAR, 1.0 + NEAR, NEAR_POINTS)
     parts = [np.geomspace(low, high, POINTS), *(near * resonance for resonance in plant.resonances_hz)]
     every = np.unique(np.concatenate(parts))

@@ -2,38 +2,46 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 
 
-def delayed(command: Array, delay: float) -> Array:
-    """Integral in ticks of a command held over each tick, ``delay`` ticks late."""
-    whole = math.ceil(delay)
-    total = np.concatenate([[0.0], np.cumsum(command)])[: len(command)]
-    found = total + command * (whole - delay)
-    return np.concatenate([np.zeros(whole), found])[: len(command)]
+class HeldCommand:
+    """A command held from each SYNC to the next, ``at_s``; 0 before the first. The SYNCs need not be evenly spaced."""
 
+    def __init__(self, command: Array, at_s: Array) -> None:
+        self._command, self._at_s = command, at_s
+        self._gaps_s = np.diff(at_s)
+        self._passed = np.concatenate([[0.0], np.cumsum(command[:-1] * self._gaps_s)])
+        self._lag_s, self._states = 0.0, command  # of the last response, at each SYNC
 
-def response(command: Array, share: float, delay: float) -> Array:
-    """First-order response with unit gain to a command held over each tick, ``delay`` ticks late.
+    def integral(self, when_s: Array) -> Array:
+        """Integral of the command up to each time."""
+        at = self._held_at(when_s)
+        found = self._passed[at] + self._command[at] * (when_s - self._at_s[at])
+        return np.where(when_s < self._at_s[0], 0.0, found)
 
-    ``share``: tick over lag. The response is exact for a fractional delay too.
-    """
-    decay = math.exp(-share)
-    state, states = 0.0, []
-    values: list[float] = command.tolist()
-    for value in values:
-        states.append(state)
-        state = value + (state - value) * decay
-    whole = math.ceil(delay)
-    late_by = whole - delay
-    held, reached = np.array(values), np.array(states)
-    found = held + (reached - held) * math.exp(-share * late_by)
-    return np.concatenate([np.zeros(whole), found])[: len(command)]
+    def response(self, lag_s: float, when_s: Array) -> Array:
+        """First-order response with unit gain at each time."""
+        if lag_s != self._lag_s:
+            self._lag_s, self._states = lag_s, self._states_of(lag_s)
+        at = self._held_at(when_s)
+        held = self._command[at]
+        found = held + (self._states[at] - held) * np.exp((self._at_s[at] - when_s) / lag_s)
+        return np.where(when_s < self._at_s[0], 0.0, found)
+
+    def _states_of(self, lag_s: float) -> Array:
+        state, states = 0.0, [0.0]
+        values, decays = self._command.tolist(), np.exp(self._gaps_s * (-1.0 / lag_s)).tolist()
+        for value, decay in zip(values, decays, strict=False):
+            state = value + (state - value) * decay
+            states.append(state)
+        return np.array(states)
+
+    def _held_at(self, when_s: Array) -> npt.NDArray[np.intp]:
+        return np.maximum(np.searchsorted(self._at_s, when_s, side="right") - 1, 0)
 
 
 def behind_play(stroke: Array, play_mm: float) -> Array:

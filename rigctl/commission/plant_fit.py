@@ -4,6 +4,10 @@
     tension / u = (k + c s) R e^{-s (Td + Ts)} H / (s (tau s + 1))
     R = (m s^2 + c_m s + K_m) / (m s^2 + (c_m + c) s + K_m + k)                  R = 1 for a rigid mechanism
 
+These are what is fitted, at frequencies far below the Nyquist frequency, where what aliases is less than the least
+standard deviation of a response. Whatever is made of the plant found is made of the design's own plant with its values,
+sampled exactly (`PlantModel.sampled`); a test holds the two together over the excited band.
+
 k and c: spring and rope along the rope; Ts: what the tension is later than the stroke, by the cell's filter; g: share
 of the commanded speed at which the drive runs; m: payload. The mechanism is believed to be rigid unless a resonance
 explains the tension clearly better; then the least stiffness is stated that the tension does not contradict.
@@ -20,6 +24,7 @@ from rigctl.commission.frequency_response import ComplexArray, PlantResponse, Ra
 from rigctl.commission.identification import PITCH_SHARE, Estimated, student_t
 from rigctl.commission.motion import Array
 from rigctl.config.plant_section import PlantSettings
+from rigctl.design.plant_family import of_values
 
 KG_PER_N_S2_MM = 1000.0  # 1 N s^2/mm is 1000 kg
 FLOOR = 0.003  # of a response: least standard deviation; what else is in it the equations do not have
@@ -59,6 +64,19 @@ class PlantModel:
             own = mass * s**2 + 2.0 * self.mechanism_damping * math.sqrt(self.mechanism * mass) * s + self.mechanism
             stretch = stretch * own / (own + stretch)
         return stretch * moved * np.exp(-s * self.sensor_delay_s), self.gain * moved, self.gain * moved * s
+
+    def sampled(self, frequencies_hz: Array, tick_s: float) -> tuple[ComplexArray, ComplexArray]:
+        """Tension and speed per command of the design's plant with these values; N s/mm, 1."""
+        z = np.exp(2j * math.pi * frequencies_hz * tick_s)
+
+        def of(delay_s: float) -> ComplexArray:
+            plant = of_values(
+                self.stiffness, self.damping, self.lag_s, max(0.0, delay_s) / tick_s, tick_s,
+                k_m=self.mechanism, payload_kg=self.payload_kg, mechanism_damping=self.mechanism_damping,
+            )  # fmt: skip
+            return plant.response(z)
+
+        return of(self.delay_s + self.sensor_delay_s)[0], self.gain * of(self.delay_s)[1]
 
     @property
     def resonances_hz(self) -> tuple[float, ...]:

@@ -10,36 +10,34 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission import identification
-from rigctl.commission.identification import Drive, Estimated, IdentificationError, TrialSignals
-from rigctl.config.quantity import count
+from rigctl.commission.identification import Drive, Estimated, IdentificationError, Pairs, TrialSignals
 from rigctl.config.settings import RigSettings
 from rigctl.control.trials import QUIET_S
 
 LAST_QUIET_S = 0.01  # end of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # largest uncertainty over value of a figure that is proposed
 DELAY_ERROR_S = 2e-3
-SKIPPED_S = 0.01  # longest gap of the loop: the rig moves on meanwhile, and half a lag spoils the measurement
 
 
 def signals_of(records: npt.NDArray[Any], period_s: float) -> TrialSignals:
-    """The columns for an identification, tick by tick; a skipped tick repeats the values before it.
+    """The columns for an identification, tick by tick.
 
     Raises:
-        IdentificationError: records are missing, or the loop was stopped for too long.
+        IdentificationError: records are missing.
     """
     if len(records) < 2:
         raise IdentificationError("the records of the excitation are not there any more")
     if int(records["seq"][-1] - records["seq"][0]) != len(records) - 1:
         raise IdentificationError("records of the excitation are missing")
-    ticks = np.rint((records["t_ns"] - records["t_ns"][0]) * (1e-9 / period_s)).astype(int)
-    skipped = int(ticks[-1]) + 1 - len(records)
-    if skipped * period_s > SKIPPED_S:
-        raise IdentificationError(
-            f"the computer had the loop skip {count(skipped, 'period')} during the excitation: repeat it"
-        )
-    known = records[np.searchsorted(ticks, np.arange(ticks[-1] + 1), side="right") - 1]
-    columns = (known[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n"))
-    return TrialSignals(period_s, *columns)
+    grid_s = (records["t_ns"] - records["t_ns"][0]) * 1e-9
+    # The SYNC ends the tick's work, which the next record has.
+    work_s = np.minimum(np.append(records["work_ns"][1:], records["work_ns"][-1:]) * 1e-9, period_s)
+    at_s = grid_s + records["lateness_ns"] * 1e-9 + work_s
+    late = np.append(False, np.diff(grid_s) > 1.5 * period_s)
+    command, stroke, speed, tension = (
+        records[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n")
+    )
+    return TrialSignals(np.maximum.accumulate(at_s), command, stroke, speed, tension, late)
 
 
 @dataclass(frozen=True)
@@ -76,22 +74,25 @@ def rows(signals: TrialSignals, settings: RigSettings) -> list[dict[str, Any]]:
     Raises:
         IdentificationError: the records do not determine the plant.
     """
-    plant, drive = settings.plant, identification.drive(signals)
-    rest = slice(0, round((QUIET_S - LAST_QUIET_S) / signals.period_s))
-    cell, speed = (identification.noise(values[rest], signals.period_s) for values in (signals.tension, signals.speed))
+    plant, period_s, pairs = settings.plant, settings.loop.period_ns * 1e-9, identification.pairs_of(signals)
+    drive = identification.drive(signals, pairs)
+    rest = slice(0, round((QUIET_S - LAST_QUIET_S) / period_s))
+    cell, speed = (identification.noise(values[rest], period_s) for values in (signals.tension, signals.speed))
     found = [
         ProposedValue("plant.cylinder_lag_s", "s", plant.cylinder_lag_s, drive.lag_s).checked(share=LAG_SHARE),
         ProposedValue("plant.command_delay_s", "s", plant.command_delay_s, drive.delay_s).checked(error=DELAY_ERROR_S),
         ProposedValue("drive speed / command", "", None, drive.gain).checked(share=STIFFNESS_SHARE),
         ProposedValue("age of the drive's speed", "s", None, drive.speed_age_s).checked(error=DELAY_ERROR_S),
-        *_of_rope(signals, settings, drive, cell),
+        *_of_rope(signals, settings, pairs, drive, cell),
         ProposedValue("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
         ProposedValue("drive speed noise", "mm/s", None, speed),
     ]
     return [row.as_json() for row in found]
 
 
-def _of_rope(signals: TrialSignals, settings: RigSettings, drive: Drive, cell: Estimated) -> list[ProposedValue]:
+def _of_rope(
+    signals: TrialSignals, settings: RigSettings, pairs: Pairs, drive: Drive, cell: Estimated
+) -> list[ProposedValue]:
     """Stiffness, the key of the rig file that follows from it, and backlash."""
     plant = settings.plant
     stiffness = ProposedValue("stiffness", "N/mm", plant.stiffness_n_mm)
@@ -100,7 +101,7 @@ def _of_rope(signals: TrialSignals, settings: RigSettings, drive: Drive, cell: E
         slack = "the rope is slack"
         stiffness, backlash = replace(stiffness, why=slack), replace(backlash, why=slack)
     else:
-        rope = identification.rope(signals, drive, cell.value + cell.error)
+        rope = identification.rope(signals, pairs, drive, cell.value + cell.error)
         stiffness = replace(stiffness, found=rope.stiffness_n_mm).checked(share=STIFFNESS_SHARE)
         backlash = replace(backlash, found=rope.backlash_mm, why=stiffness.why)
         if stiffness.found is None:
@@ -123,7 +124,12 @@ def _spring(stiffness: Estimated, rope_n_mm: float) -> Estimated | None:
     return Estimated(spring, stiffness.error * (spring / stiffness.value) ** 2)
 
 
-def in_words(found: list[dict[str, Any]]) -> str:
+def left_out_in_words(what: str, left_out: int, kept: int) -> str:
+    """How many repetitions the figures do without, empty for none."""
+    return f"{left_out} of {left_out + kept} {what} left out" if left_out else ""
+
+
+def in_words(found: list[dict[str, Any]], pairs: Pairs) -> str:
     """The main figures in one line."""
     shown = {row["key"]: row for row in found}
 
@@ -134,15 +140,15 @@ def in_words(found: list[dict[str, Any]]) -> str:
         value, error = rounded(factor * row["found"], factor * (row["error"] or 0.0))
         return f"{name} {value} +- {error} {unit}"
 
-    return ", ".join(
-        (
-            say("plant.cylinder_lag_s", "lag", "ms", 1e3),
-            say("plant.command_delay_s", "delay", "ms", 1e3),
-            say("stiffness", "stiffness", "N/mm"),
-            say("tension_cell.noise_n", "noise", "N"),
-            say("backlash", "backlash", "mm"),
-        )
+    parts = (
+        say("plant.cylinder_lag_s", "lag", "ms", 1e3),
+        say("plant.command_delay_s", "delay", "ms", 1e3),
+        say("stiffness", "stiffness", "N/mm"),
+        say("tension_cell.noise_n", "noise", "N"),
+        say("backlash", "backlash", "mm"),
+        left_out_in_words("repetitions, in which the loop skipped ticks,", pairs.late, len(pairs.kept)),
     )
+    return ", ".join(part for part in parts if part)
 
 
 def rounded(value: float, error: float) -> tuple[str, str]:

@@ -36,11 +36,15 @@ def figures(response: PlantResponse, found: MeasuredMargins, spectra: Spectra, a
             "ms_input": _pair(found.ms_input),
             "ms_output": _pair(found.ms_output),
             "peak_hz": _short(found.peak_hz),
+            "covered_hz": _short(found.covered_hz),
+            "beyond": found.beyond,
+            "at_least": _short(found.at_least),
         },
         "columns": list(COLUMNS),
         "lines": _lines(response.frequencies_hz, response.tension, response.sensitivity),
         "curves": _curves(found),
         "periods": spectra.periods,
+        "left_out": spectra.left_out,
         "period_s": spectra.period_s,
         "tick_s": spectra.tick_s,
         "applied": False,
@@ -84,7 +88,11 @@ def in_words(found: MeasuredMargins) -> str:
         parts.append(f"mechanism {_words(plant.mechanism_n_mm)} N/mm")
     elif plant.mechanism_above is not None:
         parts.append(f"mechanism stiffer than {plant.mechanism_above:.0f} N/mm")
-    parts.append(f"Ms {_words(ms)} {'measured' if found.measured else 'predicted'} at {found.peak_hz:.2g} Hz")
+    if found.measured and found.beyond:
+        parts.append(f"Ms at least {found.at_least:.3f} measured up to {found.covered_hz:.2g} Hz")
+        parts.append(f"{_words(ms)} predicted at {found.peak_hz:.2g} Hz, as plant found and controller continue it")
+    else:
+        parts.append(f"Ms {_words(ms)} {'measured' if found.measured else 'predicted'} at {found.peak_hz:.2g} Hz")
     return ", ".join(parts)
 
 

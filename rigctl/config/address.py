@@ -5,13 +5,17 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
-from dataclasses import dataclass
+from typing import NamedTuple
 
+_LABEL = r"[A-Za-z0-9](?:[A-Za-z0-9-]{0,61}[A-Za-z0-9])?"
 _HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]{0,251}[A-Za-z0-9])?")
+_HOST_NAME = re.compile(rf"(?=.{{1,253}}\Z){_LABEL}(?:\.{_LABEL})*")
+_HEADER = re.compile(r"(\[[0-9a-f:.%]+\]|[^:\[\]]+)(:[0-9]{1,5})?")  # Host, lower case: the host, and a port
 NETWORK_PROTOCOLS = ("tcp", "tls")
 """Protocols of endpoints that have an address."""
 EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 """Hosts that stand for every interface, and a host of this computer for each."""
+HOST_ALLOWED = "a host name (letters, digits, - and .) or an IP address, without port"
 ALLOWED = "HOST:PORT, e.g. 127.0.0.1:8080 or [::1]:8080"
 
 
@@ -26,8 +30,7 @@ class CannotListenError(RuntimeError):
     """The socket cannot be opened; ``str()`` is one line."""
 
 
-@dataclass(frozen=True)
-class Address:
+class Address(NamedTuple):
     """A host (name or IP address, IPv6 without brackets) and a TCP port; port 0 means any free port."""
 
     host: str
@@ -88,6 +91,35 @@ def is_address(text: str) -> bool:
     except AddressError:
         return False
     return True
+
+
+def is_host(text: str) -> bool:
+    """Whether it is an IP address or a host name (RFC 1123) that a certificate can name; no pattern, no endpoint."""
+    digits = re.fullmatch(r"[0-9.]+", text) is not None
+    return _is_ip(text) or (not digits and _HOST_NAME.fullmatch(text) is not None)
+
+
+def names_server(header: str, address: Address) -> bool:
+    """Whether an HTTP Host header names a server that listens at ``address``, not a name made to point here.
+
+    A browser's page of a foreign name that resolves to this computer (DNS rebinding) sends that name. Allowed are the
+    host that was listened on, this computer's names, and IP addresses: only loopback ones if it listens there alone.
+    """
+    found = _HEADER.fullmatch(header.lower())
+    host = found[1].strip("[]") if found else ""
+    if host in {"localhost", address.host.lower(), *_this_host()}:
+        return True
+    return _is_ip(host) and (not address.is_loopback or ipaddress.ip_address(host).is_loopback)
+
+
+def _this_host() -> tuple[str, str, str]:
+    """Names of this computer: its full name, that without the domain, and that in the link's domain (RFC 6762).
+
+    The first label in any other domain may belong to anyone. ``--listen NAME:PORT`` allows another name.
+    """
+    name = socket.gethostname().lower()
+    label = name.partition(".")[0]
+    return name, label, f"{label}.local"
 
 
 def is_local(endpoint: str) -> bool:

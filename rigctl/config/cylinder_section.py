@@ -24,6 +24,9 @@ class CylinderSettings(CanopenDevice):
     brake_test: bool = Field(
         default=True, description="arming a loaded rope waits 2 s on the closed brake, the stroke must not move"
     )
+    brake_waiver: str | None = Field(
+        default=None, min_length=10, description="why the cylinder needs no holding brake, in words; null = it has one"
+    )
     stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
     stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
     status_rate_hz: int | None = Field(
@@ -31,6 +34,14 @@ class CylinderSettings(CanopenDevice):
     )
     rated_current_a: float | None = Field(
         default=None, gt=0, le=1000, description="motor's, as its drive has it (0x6075); needed with status_rate_hz"
+    )
+    force_per_ampere_n: float | None = Field(
+        default=None, gt=0, le=1e6,
+        description="rope force per ampere of motor current, which then shows a slack rope that gets tight; "
+        "null = the cell alone does",
+    )  # fmt: skip
+    rated_force_n: float | None = Field(
+        default=None, gt=0, le=1e6, description="rope force at rated torque (0x6076), for a preload; null = no preload"
     )
     e_stop_input: int | None = Field(
         default=None, ge=0, le=31, description="bit of the digital inputs (0x60FD), 0 = pressed; null = none fitted"
@@ -89,8 +100,16 @@ class CylinderSettings(CanopenDevice):
         return self
 
     @model_validator(mode="after")
+    def _brake_that_is_tested(self) -> CylinderSettings:
+        allowed = "false with brake_waiver: there is no brake to test"
+        require(not (self.brake_test and self.brake_waiver is not None), "brake_test", self.brake_test, allowed)
+        return self
+
+    @model_validator(mode="after")
     def _status_is_complete(self) -> CylinderSettings:
         rate, current, stop = self.status_rate_hz, self.rated_current_a, self.e_stop_input
         require(rate is None or current is not None, "rated_current_a", current, "a current, with status_rate_hz")
         require(rate is not None or stop is None, "e_stop_input", stop, "none without status_rate_hz")
+        force_n = self.force_per_ampere_n
+        require(rate is not None or force_n is None, "force_per_ampere_n", force_n, "null without status_rate_hz")
         return self

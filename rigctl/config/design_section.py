@@ -33,3 +33,6 @@ class DesignSettings(Settings):
     identified_lag_pct: float = Field(default=10.0, ge=0, le=80, description="... this share of the drive's lag")
     identified_delay_ms: float = Field(default=0.5, ge=0, le=50, description="... this much of the drive's delay")
     identified_mechanism_pct: float = Field(default=20.0, ge=0, le=80, description="... this share of K_m")
+    identified_damping_pct: float = Field(
+        default=50.0, ge=0, le=100, description="... this share of the loss of spring and rope"
+    )

@@ -7,13 +7,13 @@ import sys
 from collections.abc import Iterator
 
 EXTRAS = {
-    "client": {"cryptography", "zenoh"},
+    "client": {"zenoh"},
     "rt": {
-        "yaml", "cantools", "scipy", "mcap", "google", "typer", "rich", "starlette", "uvicorn",
+        "cryptography", "yaml", "cantools", "scipy", "mcap", "google", "typer", "rich", "starlette", "uvicorn",
         "websockets", "h11",
     },
     "ops": {"matplotlib", "jinja2", "pyarrow"},
-    "sim": {"numba", "simple_pid", "control"},
+    "sim": {"numba", "simple_pid", "control", "cvxpy", "clarabel"},
     "bridge": {"prometheus_client"},
     "mdf": {"asammdf"},
     "test": {"pytest", "pandas"},

@@ -12,8 +12,6 @@ import pathlib
 import stat
 from typing import Any
 
-import msgspec
-
 LARGEST_BYTES = 4 << 20
 """Ten times the longest file of a runtime folder."""
 
@@ -46,6 +44,8 @@ def decoded(data: bytes, kind: Any = Any) -> Any:
     Raises:
         msgspec.MsgspecError: for any error in it.
     """
+    import msgspec  # slow to load, and `rigctl hold` only reads
+
     try:
         return msgspec.json.decode(data, type=kind)
     except (UnicodeDecodeError, RecursionError) as error:

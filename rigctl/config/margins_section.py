@@ -16,5 +16,7 @@ class MarginsSettings(Settings):
     """
 
     probe_n: float = Field(default=0.2, gt=0, le=10, description="largest change of tension by the multisine")
-    ms_max: float = Field(default=2.0, gt=1, le=10, description="highest measured sensitivity peak")
+    ms_max: float | None = Field(
+        default=None, gt=1, le=10, description="highest measured sensitivity peak; null = design.ms_max"
+    )
     action: Literal["log", "hold"] = Field(default="log", description="above it: only warn, or hold the stroke")

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import re
+
 LONGEST_SHOWN = 300
+LONGEST_LINE = 2000
+_LONG_WORD = re.compile(rf"(\S{{200}})\S{{{LONGEST_SHOWN - 250},}}(\S{{50}})")
 
 
 def printable(text: str) -> str:
@@ -14,3 +18,12 @@ def on_one_line(text: str) -> str:
     """The text, printable and cut to a bounded length."""
     shown = text if text.isprintable() else ascii(text)[1:-1]
     return shown if len(shown) <= LONGEST_SHOWN else f"{shown[:LONGEST_SHOWN]}..."
+
+
+def complaint(text: str) -> str:
+    """A message for standard error of which no word and no line is longer than a reader reads.
+
+    A path or a name given by mistake may have many thousand letters; its ends remain, and what is said of it.
+    """
+    lines = [_LONG_WORD.sub(r"\1...\2", line) for line in text.split("\n")]
+    return "\n".join(line if len(line) <= LONGEST_LINE else f"{line[:LONGEST_LINE]}..." for line in lines)

@@ -31,6 +31,11 @@ class SecondForceSettings(CanopenDevice):
     )
     u_n: float = Field(gt=0, le=1000, description="expanded uncertainty (k = 2) of its tension at the target")
     cell_u_n: float = Field(gt=0, le=1000, description="the same of the cell's, as rigctl report states it")
+    noise_um: float = Field(default=1.0, gt=0, le=100, description="stretch: rms noise of the encoder below the spring")
+    quick_hz: float | None = Field(
+        default=None, ge=0.5, le=100,
+        description="stretch at the loop's rate: above this it takes noise off the cell; null = the cell alone",
+    )  # fmt: skip
     fuse_s: float = Field(default=5.0, ge=0.5, le=1000, description="time constant of the fusion")
     disagree_n: float = Field(
         gt=0, le=1000, description="largest difference of the two, low-passed by 1 s; beyond: HOLD"
@@ -45,6 +50,8 @@ class SecondForceSettings(CanopenDevice):
         require(
             (self.spring_n_mm is not None) == stretches, "spring_n_mm", self.spring_n_mm, "a value for stretch only"
         )
+        quick = self.quick_hz is None or stretches
+        require(quick, "quick_hz", self.quick_hz, "null for a cell: only a stretch has less noise than the cell")
         least = 1.5 * (self.u_n**2 + self.cell_u_n**2) ** 0.5
         allowed = f"{least:.3g} N or more: 3 standard uncertainties of the difference"
         require(self.disagree_n >= least, "disagree_n", self.disagree_n, allowed)

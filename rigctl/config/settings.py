@@ -20,6 +20,7 @@ from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.cylinder_section import CylinderSettings
 from rigctl.config.design_section import DesignSettings
 from rigctl.config.estimator_section import EstimatorSettings
+from rigctl.config.hold_section import HoldSettings
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.margins_section import MarginsSettings
@@ -107,11 +108,20 @@ class SafetySettings(Settings):
     stale_ms: int = Field(ge=1, le=1000, description="oldest tension or drive sample the loop acts on")
     inclination_stale_ms: int = Field(ge=10, le=5000, description="oldest inclination the loop acts on")
     bus_silent_ms: int = Field(ge=1, le=1000, description="no frame at all for this long")
+    heave_mm: float | None = Field(
+        default=None, gt=0, le=1000, description="vertical motion of the payload from where COMPENSATING began"
+    )
+    heave_mm_s: float | None = Field(default=None, gt=0, le=80, description="its largest speed")
     stuck_samples: int = Field(
         default=20, ge=0, le=10_000, description="equal samples of the cell in a row that are a fault; 0 = never"
     )
     overrun_ticks: int = Field(ge=1, le=1000, description="periods skipped ...")
     overrun_window_ms: int = Field(ge=10, le=60_000, description="... within this time")
+    lock_out: str | None = Field(
+        default=None, min_length=2, max_length=40,
+        description="name of the switch that locks the drive out before somebody walks in, as it is marked in the "
+        "hall, and what it leaves powered: Q1 (24 V stays on)",
+    )  # fmt: skip
     waiver: str | None = Field(
         default=None, min_length=10, description="why settings may be out of the bounds physics give them, in words"
     )
@@ -190,6 +200,7 @@ class RigSettings(Settings):
     learning: LearningSettings | None = None
     design: DesignSettings
     safety: SafetySettings
+    hold: HoldSettings = Field(default_factory=HoldSettings)
     limits: list[LimitSettings] = Field(default_factory=list)
     calibration: CalibrationSettings | None = None
     compensation: CompensationSettings | None = None
@@ -277,6 +288,8 @@ class RigSettings(Settings):
         if (second := self.second_force) is not None:
             fits = rate % second.rate_hz == 0 and rate // second.rate_hz <= _MOST_SYNCS
             require(fits, "second_force.rate_hz", second.rate_hz, f"loop.rate_hz ({rate}) divided by 1 to 240")
+            same = second.quick_hz is None or second.rate_hz == rate
+            require(same, "second_force.rate_hz", second.rate_hz, f"loop.rate_hz ({rate}) where quick_hz is given")
         if (status := self.cylinder.status_rate_hz) is not None:
             fits = 1 <= rate // status <= _MOST_SYNCS
             require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")

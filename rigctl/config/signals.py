@@ -58,6 +58,11 @@ SIGNALS: tuple[Signal, ...] = (
            limit=Reading(18, "lateness_us", "us", "of the tick against its grid", "lateness_ns", factor=1e-3)),
     Signal("work_ns", "q", "ns", "of the tick before, from its wake-up to its end"),
     Signal("mode", "B", "", "mode, see modes"),
+    Signal("held_by", "B", "", "what carries the load, see held_by; 0 in a mode that moves the stroke"),
+    Signal("power_off", "B", "", "what shows that a drive commanded off is without power, see power_off; 0: no such "
+           "command"),
+    Signal("sink_mm_s", "d", "mm/s", "speed of the stroke on the closed brake, negative: the load sinks; 0 at rest"),
+    Signal("slack_s", "d", "s", "time until the rope is slack at that speed; NaN for a load that does not sink"),
     Signal("fault", "H", "", "latched fault, see faults; 0 none"),
     Signal("flags", "H", "", "bits, see flags"),
     Signal("tension_n", "d", "N", "tension cell, along the rope",

@@ -49,7 +49,12 @@ class PulleySettings(FrictionSettings):
 class RopeSettings(Settings):
     """Rope and spring beyond the settings of `plant`."""
 
-    damping_n_s_mm: float = Field(ge=0, le=100, description="spring and rope, axial")
+    damping_n_s_mm: float | None = Field(
+        default=None,
+        ge=0,
+        le=100,
+        description="D_l of equation (14), spring and rope as one; null = the losses of `plant`",
+    )
     slack_mm: float = Field(ge=0, le=500, description="rope left slack at stroke 0")
     mass_kg: float = Field(default=0.0, ge=0, le=10, description="rope")
     elements: int = Field(default=1, ge=1, le=32, description="1 = straight rope, more = it vibrates across its length")
@@ -73,7 +78,20 @@ class MechanismSettings(Settings):
 class DriveSettings(Settings):
     """Cylinder and drive."""
 
-    brake_ms: int = Field(ge=0, le=2000, description="time the brake takes to open or close")
+    brake_ms: int = Field(ge=0, le=2000, description="time the drive waits for the brake to open or to close")
+    brake_open_ms: int | None = Field(
+        default=None, ge=0, le=2000, description="time the brake itself takes to open, null = brake_ms"
+    )
+    brake_close_ms: int | None = Field(
+        default=None, ge=0, le=2000, description="time the brake itself takes to close, null = brake_ms"
+    )
+    speed_loop_hz: float | None = Field(
+        default=None, ge=1, le=1000, description="bandwidth of the drive's speed controller; null = it never yields"
+    )
+    moved_kg: float = Field(default=80.0, gt=0, le=1e5, description="mass of rotor and screw as seen by the rope")
+    preload_error_pct: float = Field(
+        default=0.0, ge=-50, le=50, description="of the torque offset (0x60B2), how much less the motor gives"
+    )
     acceleration_mm_s2: float = Field(gt=0, le=50_000, description="acceleration limit")
     speed_mm_s: float = Field(default=100.0, gt=0, le=1000, description="speed limit")
     dead_band_mm_s: float = Field(default=0.0, ge=0, le=5, description="slower commands do not move it")
@@ -100,6 +118,12 @@ class DriveSettings(Settings):
         le=1e7,
         description="it counts in increments, so many per mm; null = micrometres",
     )
+
+    @property
+    def brake_times_ms(self) -> tuple[int, int]:
+        """Time the brake takes to open, and to close."""
+        opens, closes = self.brake_open_ms, self.brake_close_ms
+        return self.brake_ms if opens is None else opens, self.brake_ms if closes is None else closes
 
 
 class CellSettings(Settings):

@@ -19,6 +19,7 @@ Path = tuple[str | int, ...]
 
 _INT = re.compile(r"[-+]?(0|[1-9][0-9]*)\Z")
 _FLOAT = re.compile(r"[-+]?(0|[1-9][0-9]*)\.[0-9]+([eE][-+][0-9]+)?\Z")
+_ADDRESS = re.compile(r"[0-9]{1,3}(\.[0-9]{1,3}){3}\Z")  # of IPv4: no YAML reads it as a number
 _NUMBER_LIKE = re.compile(r"[-+]?(\.?[0-9]|\.(inf|nan)\b)|(nan|inf)\Z", re.IGNORECASE)
 _BARE_NUMBER = re.compile(r"[-+.0-9eExXoObB_:a-fA-F]*\Z")
 LONGEST_NUMBER = 40
@@ -176,6 +177,8 @@ def _scalar(node: yaml.Node, path: Path) -> Any:
         return int(text)
     if _FLOAT.match(text):
         return float(text)
+    if _ADDRESS.match(text):
+        return text
     if _NUMBER_LIKE.match(text) and (_BARE_NUMBER.match(text) or text.lower().lstrip("+-.") in ("inf", "nan")):
         return Unreadable(text, "a finite number written like 10, 0.001 or 1.0e-3")
     return text

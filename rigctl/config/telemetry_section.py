@@ -11,7 +11,7 @@ from rigctl.config.settings_base import Settings, require
 
 # Without # and ?, behind which Zenoh takes settings that would overrule those of the daemon.
 _LISTEN = r"^(tcp|tls|unixsock-stream)/[^\s#?]+$"
-_JOIN = r"^(tcp|unixsock-stream)/[^\s#?]+$"
+_JOIN = r"^tcp/[^\s#?]+$"  # by a Unix socket it would have an operator's rights
 _LOCAL = "a loopback address, tls/ with telemetry.tls, or telemetry.listen_waiver: why not, in words"
 
 

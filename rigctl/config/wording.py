@@ -196,7 +196,9 @@ class Wording:
         words = kind.allowed(str(path[-1]) if path else "") if kind else "no such key"
         context = error.get("ctx", {})
         if isinstance(value := error.get("input"), strict_yaml.Unreadable):
-            return self.say(path, value.text, value.allowed)
+            return self.say(
+                path, value.text, f"{words}, in quotes" if kind and kind.choices == (str,) else value.allowed
+            )
         match error["type"]:
             case "extra_forbidden":
                 close = self._close_key(loc)
@@ -211,6 +213,8 @@ class Wording:
             case "disagree":
                 key = [int(part) if part.isdigit() else part for part in context["key"].split(".") if part]
                 return self.say((*path, *key), context["found"], context["allowed"])
+            case "string_type" if kind and isinstance(error["input"], int | float):
+                return self.say(path, _shown(error["input"]), f"{words}, in quotes")
             case _:
                 return self.say(path, _shown(error["input"]), words)
 

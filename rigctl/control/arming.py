@@ -1,4 +1,4 @@
-"""The sequence from an accepted ARM to the drive's power, with the brake test.
+"""The sequence from an accepted command to the drive's power, with the brake test (IEC 61800-5-2: SBT) of an ARM.
 
 A stop ends in this order: the motor stops, the drive reports a state without power, the brake closes, the stroke
 stands still. The drive is not switched on before: CiA 402 lets a controller take a drive from QUICK STOP ACTIVE or
@@ -62,9 +62,9 @@ class Awaited(NamedTuple):
 
 AWAITED = (
     Awaited(Check.SEQUENCE_RUNNING, lambda x, s: x.off_ns >= s.cylinder.brake_delay_ms * 1_000_000),
-    Awaited(Check.NOT_AT_STANDSTILL, lambda x, _: x.still_ns >= STILL_NS or x.brake_slip_known),
+    Awaited(Check.NOT_AT_STANDSTILL, lambda x, _: x.still_ns >= STILL_NS),
 )
-"""In order. They pass by themselves, so ARM waits for them and names them only if they do not pass in time."""
+"""In order. They pass by themselves, so they are awaited, and named only if they do not pass in time."""
 AWAITED_CHECKS = Check.SEQUENCE_RUNNING | Check.NOT_AT_STANDSTILL
 
 
@@ -94,7 +94,7 @@ class ArmingStep(Enum):
 
 
 class Sequence:
-    """From an accepted ARM to the drive's power: the rows of `AWAITED`, then the brake test.
+    """From an accepted command to the drive's power: the rows of `AWAITED`, then the brake test of an ARM.
 
     ``moved_mm`` and ``tension_n``: motion of the stroke and tension on the brake in the last test. ``tested``: True the
     brake has held, False the rope was too slack to test it, None no test.
@@ -105,22 +105,27 @@ class Sequence:
         self._until_ns = self._test_ns = 0
         self._anchor_mm: float | None = None
         self._over = False
+        self._awaited = AWAITED_CHECKS
         self.moved_mm = self.tension_n = 0.0
         self.tested: bool | None = None
 
-    def begin(self, t_ns: int) -> None:
-        """An ARM has been accepted."""
+    def begin(self, t_ns: int, *, arming: bool, at_rest: bool = True) -> None:
+        """A command has been accepted. Only ``arming`` tests the brake: while it holds the load it is tested already.
+
+        ``at_rest``: the stroke has to stand still first, as it does unless the brake slips.
+        """
+        self._awaited = AWAITED_CHECKS if at_rest else Check.SEQUENCE_RUNNING
         self._until_ns = t_ns + AWAIT_NS
         self._anchor_mm, self.tested = None, None
-        self._over = not self._settings.cylinder.brake_test
+        self._over = not (arming and self._settings.cylinder.brake_test)
 
     def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> ArmingStep:
         """One tick; READY lets the drive be switched on."""
         if self._anchor_mm is not None and not self._over:
             return self._test(t_ns, snapshot)
-        if awaited(snapshot, self._settings):
+        if awaited(snapshot, self._settings) & self._awaited:
             return ArmingStep.LATE if t_ns >= self._until_ns else ArmingStep.WAIT
-        if self._over or snapshot.brake_slip_known:
+        if self._over:
             return ArmingStep.READY
         self.tension_n, self.moved_mm = snapshot.tension_n, 0.0
         if slack:

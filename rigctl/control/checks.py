@@ -68,7 +68,7 @@ class Check(IntFlag):
     # The emergency stop is pressed: the drive's input
     E_STOP = (
         1 << 10,
-        "emergency stop is pressed (drive's input): release it, then rigctl reset",
+        "emergency stop is pressed (drive's input): release it",
     )
     # The cell's reading is stuck, noisy or negative
     CELL_IMPLAUSIBLE = (
@@ -78,7 +78,7 @@ class Check(IntFlag):
     # A device has sent an emergency message and not withdrawn it
     EMERGENCY = (
         1 << 12,
-        "a device's emergency message stands (see the events)",
+        "a device's emergency message is active (see the events)",
     )
     # A limit of the rig file with an action is exceeded now
     LIMIT = (
@@ -126,7 +126,7 @@ class Check(IntFlag):
     # The emergency stop is pressed: the I/O node's input
     E_STOP_IO = (
         1 << 22,
-        "emergency stop is pressed (I/O node's input): release it, then rigctl reset",
+        "emergency stop is pressed (I/O node's input): release it",
     )
     # An I/O node is fitted, but the state of its input is unknown
     E_STOP_IO_UNSEEN = (
@@ -198,6 +198,15 @@ class Check(IntFlag):
         (
             "the two force paths disagree (second_force.disagree_n): find the wrong one with a known weight, then "
             "rigctl tare and calibrate"
+        ),
+    )
+
+    # The drive's STO feedback does not follow its hard-wired enable
+    ENABLE_IGNORED = (
+        1 << 36,
+        (
+            "the drive's STO feedback (io.drive_off_input) does not follow its hard-wired enable "
+            "(io.drive_enable_output): check wire, relay and feedback"
         ),
     )
 

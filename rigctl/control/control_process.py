@@ -23,6 +23,7 @@ from rigctl.control.cell_correction import cell_history
 from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.gain_table import ScheduledGains
+from rigctl.control.hold_sockets import HoldSockets
 from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -30,9 +31,10 @@ from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices import startup
 from rigctl.devices.process_data import COMMAND, ProcessData
+from rigctl.ipc.hold_socket import give, socket_name
 from rigctl.ipc.ledger import in_force
 from rigctl.ipc.runtime_folder import FolderError, Runtime
-from rigctl.ipc.termination import on_signals
+from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 
 WARM_UP_TICKS = 50
 # Other interfaces filter in python-can, where a refused frame ends a drain and old samples would pile up behind it.
@@ -74,9 +76,14 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_dat
         bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
-        loop = Loop(settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data)
+        holds = HoldSockets(runtime)
+        loop = Loop(
+            settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data, holds=holds
+        )
+        give(runtime.place(socket_name(os.geteuid())), "warm-up", 0.0)
         for _ in range(WARM_UP_TICKS):
             loop.tick()
+        holds.close()
         bus.shutdown()
         other.shutdown()
     finally:
@@ -145,6 +152,7 @@ def run(directory: str) -> int:
     clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
     history = cell_history(runtime.records.reader())
+    holds = HoldSockets(runtime)
     loop = Loop(
         settings,
         gains,
@@ -158,6 +166,7 @@ def run(directory: str) -> int:
         watched=report.watched,
         last_stroke=last,
         cell_history=history,
+        holds=holds,
     )
     on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
     frozen = realtime.freeze_garbage_collector()  # before real time: its 100 ms must not delay another loop
@@ -175,9 +184,11 @@ def run(directory: str) -> int:
         },
     )
     loop.run()
-    if loop.drive_off:
+    anew = loop.machine.starts_anew
+    if loop.drive_off and not anew:
         bus.set_filters(None)
         startup.release(bus, settings)
     bus.shutdown()
+    holds.close()
     realtime.leave()  # not earlier: until its release the drive supervises us
-    return 0
+    return EXIT_STARTS_ANEW if anew else 0

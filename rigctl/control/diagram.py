@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import sys
 
+from rigctl.control.arming import STILL_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
-from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
-from rigctl.control.safety import DOUBT_MM, NOT_HELD_MM, Action
+from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
+from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
+from rigctl.control.orders import RECHECK_NS
+from rigctl.control.parking import REST_NS
+from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 
+_TRIALS = "`identify` and `response`"
 _HEAD = f"""\
 # Modes
 
@@ -20,7 +25,9 @@ row before it. {SAFE_FRAMES} such safe frames are sent before the drive is switc
 before it is switched off.
 
 A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began: whatever ends it
-(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone.
+(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone; `lower` leaves it
+for as long as the motor lowers the load. `reset` leads to HOLD if the rig was armed, with the load on the brake, and to
+DISARMED if it was not armed, was disarmed in FAULT, or its drive is in a fault of its own.
 """
 _EVENTS = {
     Event.ENABLED: "drive enabled after `arm`",
@@ -31,28 +38,77 @@ _EVENTS = {
     Event.HOLD: "`hold`",
     Event.DISARM: "`disarm`",
     Event.TRIP: "trip",
-    Event.RESET_HELD: "`reset`, drive on",
-    Event.RESET_OFF: "`reset`, drive off",
+    Event.RESET_HELD: "`reset`, armed",
+    Event.RESET_OFF: "`reset`, not armed or the drive's own fault",
     Event.STOP: "daemon stops",
     Event.RAMP_DOWN: "limit asks for a ramp down",
+    Event.LOWER: "`lower`, or the time of `carry` is over",
 }
 _ACTIONS = {
     Action.LOG: "an event when it begins and when it is over",
     Action.RAMP_DOWN: "the tension is lowered on its ramp until the rope is slack, then FAULT; a hold ends it",
-    Action.HOLD: "FAULT: the stroke is held under power, at its latch",
+    Action.HOLD: "FAULT: the motor stops the stroke; at standstill the brake takes the load and the drive goes off",
     Action.QUICK_STOP: "FAULT: the drive stops on its own ramp (0x6085), then closes its brake and goes off",
     Action.POWER_OFF: "the same, and power is cut, which closes the brake, once the drive has had its time to stop",
+    Action.SILENCE: "power off by SDO and NMT stop to the drive, then neither command nor heartbeat: its own "
+    "supervision stops it; `reset` starts all devices up again",
 }
+_PARKED = f"""
+## What holds the load
+
+IEC 61800-5-2 has the words: SOS (safe operating stop) while the motor holds a stroke, SBC (safe brake control) when the
+brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says which it is; never both.
+
+| `held_by` | meaning |
+|---|---|
+| `MOTOR` | SOS: the motor holds, for `hold.park_s` at standstill in HOLD, {STILL_NS * 1e-9:g} s in FAULT |
+| `CLOSING` | the drive stops, closes its brake and goes off |
+| `BRAKE` | SBC: the brake holds, the drive is off; DISARMED, and a parked HOLD or FAULT |
+| `TAKING` | the drive comes on, its motor takes the load, its brake opens |
+| `UNKNOWN` | the drive does not report |
+| `NOTHING` | TENSIONING, COMPENSATING, RELEASING: the motor moves the load |
+
+A stroke that is still not at rest {REST_NS * 1e-9:g} s after a stop should have ended is parked all the same: the
+drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for a stated time, then the load is parked
+again; `tare` and `calibrate` run on the brake. A rig without a brake (`cylinder.brake_waiver`) is held by the motor.
+
+`tension`, `release`, {_TRIALS} take a parked load back first: drive on, motor carries, brake open, motion. The command
+is answered when the motion begins. It is refused, and the brake stays closed, if one of the checks of arming fails that
+look at devices and signals, or if the drive is not enabled within {ARM_LIMIT_NS * 1e-9:g} s. Every supervised object is
+read back before, if the load has been on the brake for more than {RECHECK_NS // 60_000_000_000} min or a fault was
+reset since; meanwhile the read-back goes on, one object after the other. The brake test is not repeated: a parked load
+that stays where it is tests the brake. While the drive comes on, also by `arm`, the rows of HOLD are watched: a loss is
+a FAULT, and the brake closes.
+
+## A brake that slips
+
+A stroke that moves on the closed brake, faster than {SINK_MM_S:g} mm/s over 5 s or {BRAKE_SLIP_MM_S:g} mm/s at once, is
+STROKE_MOVES in every mode that keeps the stroke, with its speed and the time until the rope is slack. No `reset` is
+accepted while the load sinks. The ways out are in FAULT:
+
+- `carry` SECONDS: the motor takes the load and holds it for {CARRY_S[0]:g} to {CARRY_S[1]:g} s. Encoder and tension by
+  stiffness have to agree on how the load moves, and no other cause may stand. When one does, the drive stops and closes
+  its brake. `reset` is refused meanwhile; `carry` again prolongs it. When its time is over the motor lowers the load: a
+  slipping brake gets it only by `disarm`, which tries the brake, or when the daemon ends.
+- `lower`: the motor lowers the load on the ramp of `release` until the rope is slack. A `hold` stops it, and the motor
+  carries for {LOWERED_NS // 60_000_000_000} min.
+"""
 _HELD = f"""
 ## The stroke that is held
 
 HOLD, FAULT and DISARMED keep the stroke. It is latched where it comes to rest once such a mode begins, again when the
-drive is armed, after a trial that moved it, and when a fault is reset. With the drive on, a position loop brings the
-stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips DRIVE_NOT_FOLLOWING);
-an event reports a drive that goes on needing more than {CREEP_MM_S:g} mm/s, and once a stroke more than {SAID_MM:g} mm
-from the latch. Beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes (STROKE_NOT_HELD): the
-stroke then stands within 1 mm. A correction of {DOUBT_MM:g} mm and more that the tension or the drive's reported speed
-shows to have moved the load, while its position stood still, ends the same way (POSITION_DRIFTS).
+motor has taken the load, after a trial that moved it, and when a fault is reset. While the motor holds, a position
+loop brings the stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips
+DRIVE_NOT_FOLLOWING); an event reports a drive that goes on needing more than {CREEP_MM_S:g} mm/s, and once a stroke
+more than {SAID_MM:g} mm from the latch. Beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes
+(STROKE_NOT_HELD): the stroke then stands within 1 mm.
+
+The encoder alone does not keep a load. While the motor holds, the tension is latched with the stroke, and the two check
+each other by the stiffness without a memory that leaks. Where they disagree nothing is moved: the brake takes the load
+(STRETCH_UNEXPLAINED). A cell that has stopped measuring denies nothing either, so the correction is bounded by its sum:
+beyond {CORRECTED_MM:g} mm the brake takes the load (POSITION_DRIFTS), be it the drive that creeps or the encoder that
+drifts. On the brake a tension that falls is a load that sinks (LOAD_SINKS), DISARMED too. `rigctl check` prints the
+limits for its rig.
 """
 _ESCALATION = """
 ## When a reaction does not help
@@ -83,11 +139,11 @@ def document() -> str:
     parts += ["", "## Actions of the safety table, the weakest first", ""]
     parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
     steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
-    return "\n".join(parts) + "\n" + _HELD + _ESCALATION + "\n".join(steps) + "\n"
+    return "\n".join(parts) + "\n" + _PARKED + _HELD + _ESCALATION + "\n".join(steps) + "\n"
 
 
 def _next(action: Action | None) -> str:
-    return "nothing stronger is left: it is reported" if action is None else f"`{action.name.lower()}`"
+    return "nothing stronger would help: it is reported" if action is None else f"`{action.name.lower()}`"
 
 
 def _brackets(guard: Guard | None) -> str:
@@ -111,7 +167,7 @@ def _cell(mode: Mode, verb: Verb) -> str:
 
 
 def _situation(enabled: bool) -> Situation:
-    return Situation(drive_enabled=enabled, unloaded=True, wanted_n=1.0, measured_mm=1.0, target_max_n=1.0)
+    return Situation(armed=enabled, carry_s=CARRY_S[0], unloaded=True, wanted_n=1.0, measured_mm=1.0, target_max_n=1.0)
 
 
 if __name__ == "__main__":

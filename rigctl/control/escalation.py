@@ -1,4 +1,4 @@
-"""Escalation of a reaction that has not helped: ramp down -> hold -> quick stop -> power off, as a table."""
+"""Escalation of a reaction that has not helped, as a table: ramp down, hold, quick stop, power off, silence."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from enum import IntEnum
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
+from rigctl.control.machine import SUPERVISED_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Trip
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
@@ -19,8 +20,10 @@ MOVED_MM = 0.2
 STOP_TAIL_LAGS = 5.0  # of the drive, beyond its ramp: 10 mm/s decay to below 0.1 mm/s
 BRAKE_NS = 200 * _MS  # for the brake to close; servo holding brakes take 20 to 60 ms
 OFF_NS = 1_000 * _MS  # for a drive at standstill to close its brake and go off
+ANSWER_NS = 30 * _MS  # for a drive to show by its state that it has taken a command; most need 5 ms
+BLIND_MM = 0.2  # with two answers and the stop itself, a drive that is not heard moves less than 1 mm
 RAMP_SPARE_S = 5.0
-UNSEEN_S = 0.5  # an unseen stroke may creep; a drive or interface that recovers does so sooner
+UNSEEN_S = 0.1  # an unseen stroke may creep; a burst of lost frames is over sooner
 
 
 class Symptom(IntEnum):
@@ -35,15 +38,25 @@ class Symptom(IntEnum):
     STOP_STAYS_ON = 7
     OFF_DRIFTS = 8
     HOLD_UNSEEN = 9
+    HOLD_BLIND = 10
+    STOP_UNANSWERED = 11
+    OFF_UNANSWERED = 12
+    OFF_STAYS_ON = 13
+    SILENCE_MOVES = 14
 
 
 @dataclass
 class Since:
-    """Time and tension at the start of the reaction, and the stroke where it should have come to rest."""
+    """Time and tension at the start of the reaction; stroke and tension where it should have come to rest.
+
+    ``commanded_ns``: when the drive was first commanded to stop by itself, for a weaker reaction as ``t_ns``.
+    """
 
     t_ns: int = 0
+    commanded_ns: int = 0
     tension_n: float = 0.0
     stroke_mm: float | None = None
+    rest_n: float = 0.0
 
 
 class Bounds:
@@ -62,8 +75,9 @@ class Bounds:
 class Step:
     """``value`` above ``limit`` for ``persistence_ns``, later than ``wait_ns``, leads to ``after``.
 
-    ``wait_ns`` counts from when a drive that obeys stands still; for a ramp down, from its start. ``after`` is None
-    where no stronger action is left. ``shows`` and ``why`` are for docs/modes.md.
+    ``wait_ns`` counts from when a drive that obeys stands still; for a ramp down from its start; where ``at_once``,
+    from the first command to stop. ``after`` is None where nothing stronger would help. ``shows`` and ``why`` are for
+    docs/modes.md.
     """
 
     symptom: Symptom
@@ -75,6 +89,7 @@ class Step:
     after: Action | None
     shows: str
     why: str
+    at_once: bool = False
 
     def bound(self, bounds: Bounds) -> float:
         """The limit on this rig."""
@@ -82,7 +97,7 @@ class Step:
 
     def waits_ns(self, bounds: Bounds) -> int:
         """The wait in ns from the start of the reaction."""
-        return self.wait_ns + (0 if self.action is Action.RAMP_DOWN else bounds.rest_ns)
+        return self.wait_ns + (0 if self.at_once or self.action is Action.RAMP_DOWN else bounds.rest_ns)
 
 
 def _rise_n(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
@@ -102,7 +117,19 @@ def _speed_mm_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
 
 
 def _unseen_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
-    return max(0, snapshot.drive_age_ns - bounds.stale_ns) * 1e-9
+    return max(0, snapshot.drive_age_ns - bounds.stale_ns) * 1e-9 if snapshot.drive_may_be_on else 0.0
+
+
+def _unseen_mm(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
+    return snapshot.unseen_mm if snapshot.drive_age_ns > bounds.stale_ns else 0.0
+
+
+def _unanswered(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:
+    return snapshot.drive_may_be_on and not snapshot.drive_stops
+
+
+def _changed_n(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
+    return abs(snapshot.tension_n - since.rest_n)
 
 
 def _drift_mm(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
@@ -110,8 +137,11 @@ def _drift_mm(snapshot: Snapshot, since: Since, _bounds: Bounds) -> float:
 
 
 def _stays_on(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:
-    return not (snapshot.drive_off or snapshot.drive_faulted)
+    return snapshot.drive_may_be_on
 
+
+_FROM_REST = (_drift_mm, _changed_n)
+"""Values that begin where the stroke should have come to rest."""
 
 STEPS = (
     Step(Symptom.RAMP_RISES, Action.RAMP_DOWN, _rise_n, None, 500 * _MS, 100 * _MS, Action.HOLD,
@@ -129,9 +159,23 @@ STEPS = (
     Step(Symptom.STOP_STAYS_ON, Action.QUICK_STOP, _stays_on, 0.0, OFF_NS, 0, Action.POWER_OFF,
          f"drive not off {OFF_NS * 1e-9:g} s later", "it has not closed its brake by itself"),
     Step(Symptom.OFF_DRIFTS, Action.POWER_OFF, _drift_mm, MOVED_MM, BRAKE_NS, 0, None,
-         f"stroke {MOVED_MM:g} mm from where it was when the brake had closed", "the brake does not hold"),
+         f"stroke {MOVED_MM:g} mm from where it was when the brake had closed",
+         "the drive is off and the brake does not hold: silence would stop nothing"),
     Step(Symptom.HOLD_UNSEEN, Action.HOLD, _unseen_s, UNSEEN_S, 0, 0, Action.QUICK_STOP,
          f"nothing heard of the drive for {UNSEEN_S:g} s", "a stroke that is not seen is not held"),
+    Step(Symptom.HOLD_BLIND, Action.HOLD, _unseen_mm, BLIND_MM, 0, 0, Action.QUICK_STOP,
+         f"nothing heard of the drive, which may have moved {BLIND_MM:g} mm since", "the same, in motion",
+         at_once=True),
+    Step(Symptom.STOP_UNANSWERED, Action.QUICK_STOP, _unanswered, 0.0, ANSWER_NS, 0, Action.SILENCE,
+         f"no state of the drive that shows a stop, {ANSWER_NS // _MS} ms later", "it does not take commands",
+         at_once=True),
+    Step(Symptom.OFF_UNANSWERED, Action.POWER_OFF, _unanswered, 0.0, ANSWER_NS, 0, Action.SILENCE,
+         f"no state of the drive that shows a stop, {ANSWER_NS // _MS} ms later", "it does not take commands",
+         at_once=True),
+    Step(Symptom.OFF_STAYS_ON, Action.POWER_OFF, _stays_on, 0.0, ANSWER_NS, 0, Action.SILENCE,
+         f"drive not off {ANSWER_NS // _MS} ms after its power was cut", "it does not take commands"),
+    Step(Symptom.SILENCE_MOVES, Action.SILENCE, _changed_n, None, SUPERVISED_NS, 500 * _MS, None,
+         f"tension changed by {RISE_MM:g} mm of stretch", "the drive does not stop by itself, or the payload moves"),
 )  # fmt: skip
 """For each action: the symptoms that it did not help, and the next action."""
 
@@ -171,15 +215,16 @@ class Escalator:
             return None
         since, bounds = self._since, self._bounds
         if self._latched != (fault, action):
+            stops = self._latched is not None and self._latched[1] >= Action.QUICK_STOP
             self._latched = fault, action
-            self._since = since = Since(t_ns, snapshot.tension_n)
+            self._since = since = Since(t_ns, since.commanded_ns if stops else t_ns, snapshot.tension_n)
             self._bad_ns.clear()
             self._said.clear()
         for step in self._steps[action]:
-            if t_ns - since.t_ns < step.waits_ns(bounds):
+            if t_ns - (since.commanded_ns if step.at_once else since.t_ns) < step.waits_ns(bounds):
                 continue
-            if since.stroke_mm is None:
-                since.stroke_mm = snapshot.stroke_mm
+            if since.stroke_mm is None and step.value in _FROM_REST:
+                since.stroke_mm, since.rest_n = snapshot.stroke_mm, snapshot.tension_n
             symptom = step.symptom
             limit = step.bound(bounds)
             if not (value := step.value(snapshot, since, bounds)) > limit:

@@ -14,7 +14,7 @@ from rigctl.control.checks import Check
 from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
-from rigctl.control.modes import TRIED_IN, Event, Mode, Refusal, Verb
+from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import POSITION, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
@@ -32,7 +32,7 @@ class Kind(IntEnum):
     EXCEPTION = 6  # text: exception and place
     BUS_ERROR = 7  # a: error class bits of the frame's id, b: see rigctl.devices.can_errors.details
     SEND_FAILED = 8  # text: why
-    STARTED = 9  # loop running; a, b: slots of the command ring and of the ring of holds from before it
+    STARTED = 9  # loop running; a, b: slots in the rings of commands and holds from before it
     STOPPED = 10  # loop ended, value: stroke, limit: tension
     CLOCK = 11  # a: ticks skipped at once
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
@@ -58,8 +58,35 @@ class Kind(IntEnum):
     MOVE = 80  # a: number of the move that begins, 0: the one under way has ended, b: moves its table was learnt from
     LEARNT = 81  # a: number, b: moves learnt from, value: rms error of this move in N, limit: of the first in N
     NOT_LEARNT = 82  # as LEARNT, text: why the move taught nothing; b 0: its table is dropped
+    HELD = 100  # a: from, b: to, see rigctl.control.modes.HeldBy; value: longest time in s for which the motor holds,
+    # 0: hold.park_s; text: the command that needs it, or the mode
+    POWER_OFF = 102  # a: see rigctl.control.power_off.PowerOff, value: time since the command in s
+    NO_MARGINS = 101  # a: why, see Unmeasured
+    MARGINS_DIFFER = 104  # value: |S| as measured, limit: the nearest that the design's family has
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply
+    HOLD_SOCKET_CLOSED = 66  # a: user, b: process: it sent a descriptor along with a HOLD
+    START_ANEW = 120  # a: fault acknowledged; the loop ends, the next one starts all devices up
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
+
+
+class Unmeasured(IntEnum):
+    """Why a minute of COMPENSATING gave no margins."""
+
+    OTHER = 0
+    LIMITED = 1
+    SKIPPED = 2
+    WEAK = 3
+    UNSTEADY = 4
+
+
+UNMEASURED: dict[int, str] = {
+    Unmeasured.OTHER: "the records do not determine them, see the gateway's log",
+    Unmeasured.LIMITED: "the limits of speed or acceleration acted in too many periods, so the loop may ring: look at "
+    "command_mm_s, and take gains of a lower Ms (rigctl tune, then rigctl gains FILE)",
+    Unmeasured.SKIPPED: "the computer had the loop skip ticks in too many periods",
+    Unmeasured.WEAK: "the multisine is too weak: a larger margins.probe_n, or rigctl identify --response",
+    Unmeasured.UNSTEADY: "the multisine was not at its level for a minute",
+}
 
 
 @dataclass(frozen=True)
@@ -85,10 +112,11 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.HOLD: "hold commanded",
     Event.DISARM: "disarm commanded",
     Event.TRIP: "trip",
-    Event.RESET_HELD: "reset, drive on",
-    Event.RESET_OFF: "reset, drive off",
+    Event.RESET_HELD: "reset, armed before",
+    Event.RESET_OFF: "reset, not armed before",
     Event.STOP: "daemon stopping",
     Event.RAMP_DOWN: "ramp down",
+    Event.LOWER: "the motor lowers the load, the brake does not hold it",
 }
 
 _MISSED_UNITS = {SPEED: "mm/s", POSITION: "mm"}
@@ -155,7 +183,8 @@ _ACTION_TEXT = {
     Action.RAMP_DOWN: "ramping down",
     Action.HOLD: "holding",
     Action.QUICK_STOP: "quick stop, then power off",
-    Action.POWER_OFF: "power off, brake closed",
+    Action.POWER_OFF: "power off commanded, the brake is to close",
+    Action.SILENCE: "power off commanded by SDO, NMT stop, then silence: the drive is to stop by its own supervision",
 }
 
 
@@ -181,15 +210,14 @@ def refusal_text(
     """
     match refusal:
         case Refusal.ALREADY:
-            return (
-                f"already {mode.name}" if verb is not Verb.RELEASE or mode is not Mode.HOLD else "rope is slack already"
-            )
+            slack = verb is Verb.LOWER or (verb is Verb.RELEASE and mode is Mode.HOLD)
+            return "rope is slack already" if slack else f"already {mode.name}"
         case Refusal.PREFLIGHT:
             return "; ".join(failed_checks(checks, known)) + (_SILENT_HINT if checks & _UNSEEN else "")
         case Refusal.LOADED:
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
-        case Refusal.OUT_OF_RANGE if verb is Verb.MOVE:
-            return "the number of a move is 1 to learning.moves of the rig file, 0 for the end of the one under way"
+        case Refusal.OUT_OF_RANGE if verb in _RANGES:
+            return _RANGES[verb]
         case Refusal.OUT_OF_RANGE:
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
@@ -211,10 +239,18 @@ def refusal_text(
         case Refusal.BRAKE_SLIPPED:
             return f"brake test: the stroke moved by {value:.2f} mm on the closed brake: secure the load"
         case _:
-            return _PLAIN_TEXT.get(refusal, "unknown command")
+            return _PLAIN_TEXT.get(refusal, "unknown command").format(value)
 
 
+_RANGES: dict[Verb, str] = {
+    Verb.MOVE: "the number of a move is 1 to learning.moves of the rig file, 0 for the end of the one under way",
+    Verb.CARRY: f"the time must be {CARRY_S[0]:g} to {CARRY_S[1]:g} s",
+}
 _PLAIN_TEXT = {
+    Refusal.CARRIED: "the motor carries the load for another {:.0f} s, because the brake does not hold it: rigctl "
+    "lower, or rigctl disarm to try the brake, then reset",
+    Refusal.DISAGREE: "encoder and tension disagree by {:.2f} mm on how the load moves, so the motor could hold it by "
+    "neither: secure the load, or rigctl lower",
     Refusal.DRIVE_TIMEOUT: "drive did not become enabled",
     Refusal.STOPPING: "daemon is stopping",
     Refusal.EXPIRED: "command came too late and was not carried out",
@@ -256,6 +292,29 @@ _HINT: dict[tuple[Mode, Verb], str] = {
 }
 
 
+_HELD_TEXT: dict[HeldBy, str] = {
+    HeldBy.NOTHING: "the motor moves the load",
+    HeldBy.MOTOR: "held by the motor",
+    HeldBy.CLOSING: "the drive stops and closes its brake",
+    HeldBy.BRAKE: "held by the brake, drive off",
+    HeldBy.TAKING: "the motor takes the load from the brake",
+    HeldBy.UNKNOWN: "not known, the drive does not report",
+}
+
+
+def _held(_a: int, b: int, value: float, _limit: float, text: str) -> Worded:
+    longest = f", for at most {value:.0f} s" if value else ""
+    severity = "warning" if b == HeldBy.UNKNOWN else "info"
+    return Worded(severity, f"{text}: load {_HELD_TEXT[HeldBy(b)]}{longest}")
+
+
+def _power_off(a: int, _b: int, value: float, _limit: float, _text: str) -> Worded:
+    shown = PowerOff(a) if a in PowerOff._value2member_map_ else PowerOff.UNCONFIRMED
+    severity = "info" if shown.confirmed else "error"
+    hint = "" if shown.confirmed else ": press the emergency stop, and secure the load"
+    return Worded(severity, f"{shown.words}, {value:.1f} s after the command{hint}")
+
+
 def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     severity = "error" if b == Mode.FAULT else "info"
     return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
@@ -290,6 +349,10 @@ def _stroke(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
     return Worded("warning", stroke_words(value, text))
 
 
+_SILENT = (
+    "it is stopped by NMT and gets neither command nor heartbeat any more, so that its own supervision stops it; look "
+    "at drive and bus, then reset: all devices are started up again"
+)
 _SYMPTOM_TEXT: dict[Symptom, str] = {
     Symptom.RAMP_RISES: "the tension has risen by {0:.1f} N since the ramp down began (limit {1:.1f} N); the stroke is "
     "held",
@@ -301,13 +364,18 @@ _SYMPTOM_TEXT: dict[Symptom, str] = {
     "power off",
     Symptom.HOLD_UNSEEN: "nothing has been heard of the drive for {0:.1f} s (limit {1:.1f} s): its stroke may creep; "
     "quick stop, then power off",
-    Symptom.STOP_MOVES: "the stroke still moves at {0:.2f} mm/s after the quick stop (limit {1:.2f} mm/s); power off, "
-    "brake closed",
-    Symptom.STOP_DRIFTS: "the stroke has moved {0:.2f} mm after the quick stop (limit {1:.2f} mm); power off, brake "
-    "closed",
-    Symptom.STOP_STAYS_ON: "the drive is not seen to have gone off after the quick stop; power off, brake closed",
+    Symptom.HOLD_BLIND: "nothing is heard of the drive, and its stroke may have moved {0:.2f} mm since (limit {1:.2f} "
+    "mm); quick stop, then power off",
+    Symptom.STOP_MOVES: "the stroke still moves at {0:.2f} mm/s after the quick stop (limit {1:.2f} mm/s); power off",
+    Symptom.STOP_DRIFTS: "the stroke has moved {0:.2f} mm after the quick stop (limit {1:.2f} mm); power off",
+    Symptom.STOP_STAYS_ON: "the drive is not seen to have gone off after the quick stop; power off",
+    Symptom.STOP_UNANSWERED: f"the drive has not answered the quick stop; {_SILENT}",
+    Symptom.OFF_UNANSWERED: f"the drive has not answered; {_SILENT}",
+    Symptom.OFF_STAYS_ON: f"the drive is not seen to have gone off though its power was cut; {_SILENT}",
     Symptom.OFF_DRIFTS: "the stroke has moved {0:.2f} mm with the power off (limit {1:.2f} mm): the brake does not "
-    "hold, and the rig can do no more; secure the load",
+    "hold; secure the load, rigctl carry has the motor hold it, rigctl lower lowers it",
+    Symptom.SILENCE_MOVES: "the tension has changed by {0:.1f} N (limit {1:.1f} N) with the drive left to its own "
+    "supervision: it is still powered, its brake slips or the payload moves; press the emergency stop, secure the load",
 }
 
 
@@ -349,9 +417,12 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.TRIP: _trip,
     Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
     Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:.10g}{_unit_of(t)}"),
-    Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} stands: {fault_text(Fault(a), v, m, t)}"),
-    Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} no longer stands{t and f': {t}'}"),
+    Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} is active: {fault_text(Fault(a), v, m, t)}"),
+    Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} is cleared{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),
+    Kind.START_ANEW: lambda a, _b, _v, _l, _t: Worded(
+        "info", f"fault {Fault(a).name} reset: the loop ends, the next one starts all devices up and is DISARMED"
+    ),
     Kind.EMERGENCY: _emergency,
     Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),
     Kind.EXCEPTION: lambda _a, _b, _v, _l, t: Worded("error", f"exception in the loop: {t}"),
@@ -373,13 +444,13 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     ),
     Kind.STROKE_LEFT: lambda a, _b, v, m, _t: Worded(
         "warning",
-        f"{Mode(a).name}: the stroke is {v:+.2f} mm from where it was latched (told beyond {m:.2f} mm): "
+        f"{Mode(a).name}: the stroke is {v:+.2f} mm from where it was latched (reported beyond {m:.2f} mm): "
         + ("the brake slips, or the screw is turned" if a == Mode.DISARMED else "the drive creeps, or the brake slips"),
     ),
     Kind.DRIVE_CREEPS: lambda _a, _b, v, m, _t: Worded(
         "warning",
-        f"the drive creeps at {v:+.2f} mm/s when it is told 0 (told beyond {m:.2f} mm/s); HOLD corrects it: check the "
-        "drive's velocity offset (0x60B1) and its tuning",
+        f"the drive creeps at {v:+.2f} mm/s when commanded 0 (reported beyond {m:.2f} mm/s); HOLD corrects it: check "
+        "the drive's velocity offset (0x60B1) and its tuning",
     ),
     Kind.ESCALATION: _escalation,
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
@@ -388,6 +459,14 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.SLACK_ZERO: _slack_zero,
     Kind.LOAD_STEP: lambda a, _b, v, m, _t: Worded(
         "info", f"creep: {count(a, 'sample')}, mean {v:.4f} N, {m:.1f} s after the load's step"
+    ),
+    Kind.NO_MARGINS: lambda a, _b, _v, _m, _t: Worded(
+        "warning", f"margins not measured in the last minute: {UNMEASURED.get(a, '')}"
+    ),
+    Kind.MARGINS_DIFFER: lambda _a, _b, v, m, _t: Worded(
+        "warning",
+        f"the loop's sensitivity is not the design's: |S| {v:.2f} measured, {m:.2f} predicted; no other gains are "
+        "taken until rigctl identify --response and rigctl tune --from",
     ),
     Kind.GAINS: lambda _a, _b, _v, _m, t: Worded("info", f"gains changed: K_T, K_v, K_i = {t}"),
     Kind.MOVE: _move,
@@ -398,12 +477,19 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.LOCAL_HOLD: lambda a, b, _v, _l, t: Worded(
         "info", f"HOLD from {t} via the local socket (uid {a}, process {b})"
     ),
+    Kind.HOLD_SOCKET_CLOSED: lambda a, b, _v, _l, _t: Worded(
+        "warning",
+        f"the HOLD socket of uid {a} is read no more: process {b} sent a descriptor along; HOLD of that user goes over "
+        "the network until the loop starts anew",
+    ),
     Kind.FOREIGN_SDO: lambda _a, _b, _v, _l, t: Worded("warning", f"another master {t}: find it and stop it"),
     Kind.SETTING_LOST: lambda _a, _b, _v, _l, t: Worded("error", f"a device's setting is lost: {t}"),
     Kind.STROKE: _stroke,
     Kind.READ_BACK: lambda a, _b, v, _l, _t: Worded(
         "info", f"{count(a, 'setting')} of the devices read back in {v:.2f} s"
     ),
+    Kind.HELD: _held,
+    Kind.POWER_OFF: _power_off,
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 

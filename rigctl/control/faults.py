@@ -47,7 +47,7 @@ class Fault(IntEnum):
     TENSION_HIGH = (
         1,
         "tension {value:.1f} N above {limit:.1f} N",
-        "Unload the rope: release, or lower the payload; find what pulled.",
+        "Take the pull off the rope in the hall: support the payload until the cell reads less; find what pulled.",
         Trait.BLOCKS_RESET,
     )
     TENSION_LOW = (
@@ -87,13 +87,13 @@ class Fault(IntEnum):
     )
     DRIVE_FAULT = (
         8,
-        "drive reports a fault and holds by itself",
+        "drive reports a fault of its own",
         "Read the drive's emergency code in the events; a reset clears it once its cause is gone.",
     )
     BUS_SILENT = (
         9,
         "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the CAN interface, its termination and the devices' power.",
+        "Check CAN interface, termination, device power.",
         Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
     )
     OVERRUN = (
@@ -110,11 +110,11 @@ class Fault(IntEnum):
     STROKE_END = (
         12,
         "stroke limit reached before the tension was",
-        "Bring the stroke away from its end: release, or arm --near-end.",
+        "Look why the stroke came to its end: the rope is too long, or the payload hangs on nothing.",
     )
     DRIVE_NOT_FOLLOWING = (
         13,
-        "drive does not do what it is told: {missed}",
+        "drive does not do as commanded: {missed}",
         "Look at the drive's display, its enabling inputs and its tuning.",
     )
     DEVICE_RESTARTED = (
@@ -127,12 +127,12 @@ class Fault(IntEnum):
     INNOVATION = (
         15,
         "tension or cylinder speed contradicts what the filter expects",
-        "Look at cell and encoder; check plant.stiffness_n_mm with rigctl identify.",
+        "Look at cell, encoder and rope.",
     )
     # A positive command does not move the stroke up
     SIGN_DRIVE = (
         16,
-        "the stroke does not go where the drive is told: check the drive's sign and scale",
+        "the stroke does not go where the drive is commanded: check the drive's sign and scale",
         "Correct the drive's sign or scale in the rig file.",
     )
     # A shorter rope does not pull harder, or by far more or less than the plant's stiffness
@@ -145,12 +145,12 @@ class Fault(IntEnum):
     LIMIT = (
         18,
         "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
-        "Look at the signal named; the limit stands in the rig file.",
+        "Look at the signal named; its limit is in the rig file.",
     )
     # The cell keeps sending the very same value
     CELL_STUCK = (
         19,
-        "tension cell has sent the very same value {value:.0f} times more",
+        "tension cell has sent the very same value {value:.0f} times more (limit {limit:.0f} times)",
         "Check the cell amplifier: it repeats its last value.",
         Trait.BLOCKS_RESET,
     )
@@ -164,19 +164,20 @@ class Fault(IntEnum):
     STROKE_MOVES = (
         21,
         (
-            "the stroke moves though the drive is off ({value:.2f} mm/s): the brake does not hold; reset, then arm: "
-            "the motor carries"
+            "the stroke moves though the drive is off ({value:.2f} mm/s){text}: the brake does not hold; rigctl carry: "
+            "the motor holds the load, rigctl lower: it lowers it"
         ),
-        "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
+        "Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
+        Trait.BLOCKS_RESET,
     )
     # Tension changed without a stroke that explains it, or did not change with the stroke
     STRETCH_UNEXPLAINED = (
         22,
         (
-            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell "
-            "or payload"
+            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell, "
+            "encoder or payload"
         ),
-        "Look at rope, cell and payload before a reset.",
+        "Look at rope, cell, encoder and payload before a reset.",
     )
     # The emergency stop is pressed
     E_STOP = (
@@ -196,20 +197,20 @@ class Fault(IntEnum):
     CELL_NEGATIVE = (
         25,
         "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
-        "Check the cell's zero (rigctl tare) and its mounting.",
+        "Check the cell's mounting, and its amplifier's zero with the rope unloaded.",
         Trait.BLOCKS_RESET,
     )
     # Cell, inclinometer or I/O node has sent an emergency message and not withdrawn it
     SENSOR_EMERGENCY = (
         26,
-        "a sensor's emergency message stands ({emergency})",
+        "a sensor's emergency message is active ({emergency})",
         "Read the emergency code in the events, and the sensor's manual.",
         Trait.BLOCKS_RESET,
     )
     # The drive has sent an emergency message and not withdrawn it
     DRIVE_EMERGENCY = (
         27,
-        "the drive's emergency message stands ({emergency})",
+        "the drive's emergency message is active ({emergency})",
         "Read the emergency code in the events, and the drive's manual.",
     )
     # Another controller commands this bus
@@ -235,14 +236,14 @@ class Fault(IntEnum):
         ),
         "Look at the drive's velocity offset (0x60B1) and tuning, and at the brake.",
     )
-    # Correcting the stroke moved the load, so the drive's position is not the stroke
+    # The correction of a held stroke has added up to what could move the load
     POSITION_DRIFTS = (
         31,
         (
-            "holding the stroke has moved the load by {value:.2f} mm (limit {limit:.2f} mm): the drive's position "
-            "drifts, check its encoder"
+            "holding the stroke has taken {value:.2f} mm of correction (limit {limit:.2f} mm): the drive's position "
+            "drifts, or the drive creeps"
         ),
-        "Check the drive's encoder: its position moves and the stroke does not.",
+        "Check the drive's encoder, and its velocity offset (0x60B1).",
     )
     # The drive no longer sends current, temperature and inputs
     STATUS_STALE = (
@@ -265,7 +266,7 @@ class Fault(IntEnum):
     DRIVE_UNASKED = (
         35,
         (
-            "{text}, and this daemon has not asked for it{speed}: find who commands the drive, withdraw the tool, then "
+            "{text}, and this daemon has not commanded it{speed}: find who commands the drive, withdraw the tool, then "
             "reset"
         ),
         "Find who commands the drive, withdraw the tool, then reset.",
@@ -289,7 +290,7 @@ class Fault(IntEnum):
     SUPERVISION_LOST = (
         38,
         "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again",
-        "Start the daemon anew: it writes all settings again.",
+        "Start the daemon anew: it writes all settings.",
         Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
     )
     # The drive's position changed between two samples by more than a stroke can move
@@ -307,16 +308,71 @@ class Fault(IntEnum):
         41,
         (
             "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the drive "
-            "stays off; secure the load, or reset, then arm: the motor carries; have the brake repaired"
+            "stays off; rigctl carry: the motor holds the load, rigctl lower: it lowers it; have the brake repaired"
         ),
-        "Secure the load; reset, then arm has the motor carry it; have the brake repaired.",
+        "Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
     )
     # The second force path and the cell differ by more than both may be wrong
     FORCES_DISAGREE = (
         46,
         "the two force paths disagree by {value:.2f} N (limit {limit:.2f} N): cell, second cell, spring or encoder",
-        "Find the wrong path with a known weight; rigctl tare and calibrate before a reset.",
+        "Find the wrong force path with a known weight, and correct it at its amplifier.",
         Trait.BLOCKS_RESET,
+    )
+
+    # On the closed brake the tension falls
+    LOAD_SINKS = (
+        51,
+        (
+            "the tension {text}, by {value:.1f} N on the closed brake (limit {limit:.1f} N): the brake slips, or the "
+            "payload or the rail was moved"
+        ),
+        "Secure the load: rigctl lower has the motor lower it; no reset while it sinks; have the brake repaired.",
+        Trait.BLOCKS_RESET,
+    )
+    # What SYNC latches has stopped at every device, though the bus is alive
+    SYNC_LOST = (
+        55,
+        "no device answers SYNC since {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
+        "Find what keeps SYNC from the devices (cable, gateway, 0x1005); the drive keeps its last speed without it.",
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+    )
+    # The feedback at io.drive_off_input is not as io.drive_enable_output should have it
+    ENABLE_IGNORED = (
+        60,
+        "the drive's STO feedback (io.drive_off_input) does not follow its hard-wired enable (io.drive_enable_output)",
+        "Check wire, relay and feedback of the drive's enable: as it is, it may not take the motor's torque away.",
+        Trait.BLOCKS_RESET,
+    )
+    # The cell does not answer the probe, though the stroke does
+    CELL_FROZEN = (
+        56,
+        "the tension cell does not answer the probe: {text}; its value is not the load's",
+        "Secure the load; check cell and amplifier with a known weight before a reset.",
+    )
+    # The cell answers the probe, and the drive's position does not
+    ENCODER_STUCK = (
+        57,
+        "the drive's position does not follow the probe, the tension does ({text}): its encoder is stuck",
+        "Secure the load; check the drive's encoder and its scale before a reset.",
+    )
+    # Neither the drive's position nor the tension answers the probe
+    DRIVE_MOTIONLESS = (
+        58,
+        "neither stroke nor tension answers the probe ({text}): the drive does not move",
+        "Look at the drive's display, its enabling inputs and its mechanics.",
+    )
+    # The stroke has moved by more than the tension shows and the declared motion of the payload explains
+    LOAD_UNSEEN = (
+        59,
+        "the stroke has gone where the tension does not show it: {text}; a frozen or drifting cell, or a payload",
+        "Check the cell with a known weight; a payload that moves so far is declared by safety.heave_mm.",
+    )
+    # Tension and stroke answer the probe, and not with the stiffness of before
+    ROPE_CHANGED = (
+        61,
+        "the tension answers the stroke's probe by {text}: rope, spring or the cell's scale has changed",
+        "Secure the load; look at rope, clamp and spring, and check the cell with a known weight before a reset.",
     )
 
     @property

@@ -99,6 +99,7 @@ class FrequencyTrial:
     """One measurement. ``see`` returns None while it goes on, then its refusal (NONE: done)."""
 
     moves = True
+    power_s = LONGEST_S
 
     def __init__(self, settings: RigSettings, inbox: Inbox, *, regulated: bool) -> None:
         """``regulated``: while COMPENSATING, else in HOLD."""

@@ -5,8 +5,9 @@ the plant everywhere. Each entry of the table holds gains and the plant and nois
 identified at its own tension and stroke and has passed the gate of the design (`rigctl.design.transitions`).
 
 The nearest entry is in force, with a hysteresis, and each entry for at least the dwell time for which the design has
-proven that no sequence of changes makes the loop unstable. A change is bumpless: the next filter goes on from the state
-of the last one, and the integral takes over what the other gains make of the present errors.
+found that no sequence of changes makes the loop unstable. The command makes no step at a change: the next filter goes
+on from the state of the last one, the integral takes over what the other gains make of the present errors, and a ramp
+under way keeps its stiffness.
 """
 
 from __future__ import annotations

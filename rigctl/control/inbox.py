@@ -92,7 +92,11 @@ class Inbox:
         rail = settings.rail_encoder
         self._divisors = _divisors(settings)
         section = settings.second_force
-        self.second = SecondForce(section) if section is not None else None
+        self.second = (
+            SecondForce(section, settings.tension_cell.noise_n, settings.loop.period_ns * 1e-9)
+            if section is not None
+            else None
+        )
         compensation = settings.compensation
         self._drive_warms_cell = compensation is not None and compensation.temperature == "drive"
         self._handlers = self._handlers_of(settings)
@@ -122,7 +126,8 @@ class Inbox:
         self.drive_current_a = self.drive_temperature_c = math.nan
         self.drive_status_t_ns = self.warmth_t_ns = NEVER_NS
         # From the newer of the drive's input and its emergency message; from the I/O node's input.
-        self.e_stop = self.io_e_stop = False
+        # The last is the drive's STO feedback, where the I/O node has it.
+        self.e_stop = self.io_e_stop = self.io_drive_off = False
         self.bus_t_ns = self.rival_t_ns = self.io_t_ns = self._io_opened_ns = NEVER_NS
         self._foreign_request_ns = NEVER_NS
         self.cell_fresh = self.drive_fresh = self.slope_fresh = self.rail_fresh = False
@@ -181,6 +186,11 @@ class Inbox:
             return None
         self._notices = Notices()
         return found
+
+    @property
+    def quantum_mm(self) -> float:
+        """Of the drive's position."""
+        return self._process_data.units.position_mm
 
     def drain(self, now_ns: int, syncs_sent: int) -> None:
         """Read until the bus is empty; samples are stamped ``now_ns``."""
@@ -253,6 +263,12 @@ class Inbox:
         if self.second is not None:
             self.second.put(correction)
         self.tension_n = self.cell_n if self.second is None else self.cell_n + self.second.offset_n
+
+    def fuse(self, now_ns: int) -> None:
+        """Compare the second force path with the cell and fuse both, once all frames of the tick are there."""
+        if self.second is not None:
+            self.second.look(self.cell_n, self.stroke_mm, self.speed_mm_s, now_ns)
+            self.tension_n = self.cell_n + self.second.offset_n + self.second.quick_n
 
     def _take_cell(self, reading_n: float, quality: int, now_ns: int) -> None:
         """Take a tension; a reading beyond the cell's range is saturated even if the device reports it as good."""
@@ -354,12 +370,14 @@ class Inbox:
 
     def _inputs_handler(self, settings: RigSettings, layout: PdoLayout) -> Handler:
         assert settings.io is not None  # there is no frame without it
-        decode, mask = codecs.inputs_decoder(layout), settings.io.mask
+        decode, mask, off_mask = codecs.inputs_decoder(layout), settings.io.mask, settings.io.off_mask
 
         def on_inputs(data: bytes | bytearray, now_ns: int) -> None:
             """An open contact in any frame of a tick counts: a bouncing contact was pressed."""
-            if not decode(data) & mask:
+            inputs = decode(data)
+            if not inputs & mask:
                 self._io_opened_ns = now_ns
+            self.io_drive_off = inputs & off_mask != 0
             self.io_e_stop = self._io_opened_ns == now_ns
             self.io_t_ns = now_ns
 

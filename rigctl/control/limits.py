@@ -55,7 +55,7 @@ def _of_margins(settings: RigSettings) -> list[LimitSettings]:
     section = settings.margins
     if section is None:
         return []
-    high, action = section.ms_max, section.action
+    high, action = section.ms_max or settings.design.ms_max, section.action
     return [LimitSettings(signal="sensitivity_peak", high=high, action=action, modes=["COMPENSATING"])]
 
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
+from rigctl.control.hold_sockets import Hold
 from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox, Notices
 from rigctl.control.machine import Change, Machine
-from rigctl.control.modes import Refusal
+from rigctl.control.modes import HeldBy, Refusal
 from rigctl.control.move_learning import News
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
@@ -33,21 +34,21 @@ _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag
 
 @dataclass(frozen=True)
 class Rings:
-    """Rings of the loop: records, events, replies and frames out, commands and holds in."""
+    """Rings of the loop: records, events, replies, frames and the HOLDs that it has taken out, commands in."""
 
     records: RingWriter
     events: RingWriter
     replies: RingWriter
     frames: RingWriter
+    holds: RingWriter
     commands: RingReader
-    holds: RingReader
 
     @classmethod
     def of(cls, runtime: Runtime) -> Rings:
         """The loop's ends of a runtime folder's rings."""
         return cls(
             runtime.records.writer(), runtime.events.writer(), runtime.replies.writer(), runtime.frames.writer(),
-            runtime.commands.reader(), runtime.holds.reader(),
+            runtime.holds.writer(), runtime.commands.reader(),
         )  # fmt: skip
 
 
@@ -65,12 +66,12 @@ class Logbook:
 
     def record(  # noqa: PLR0915 - one line for each field of the record
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int, hold_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
+        outbox: Outbox, command_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
         move: int = 0,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
-        ``work_ns`` is of the tick before, ``command_seq`` and ``hold_seq`` are the last command and hold taken.
+        ``work_ns`` is of the tick before, ``command_seq`` is the last command taken.
         ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
@@ -85,6 +86,11 @@ class Logbook:
         values.lateness_ns = lateness_ns
         values.work_ns = work_ns
         values.mode = machine.mode
+        values.held_by = snapshot.held_by
+        values.power_off = snapshot.power_off
+        values.sink_mm_s = snapshot.sink_mm_s
+        sinks_mm_s = -snapshot.sink_mm_s
+        values.slack_s = snapshot.sink_left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
         values.fault = machine.fault
         values.flags = flags
         values.tension_n = inbox.tension_n
@@ -162,7 +168,7 @@ class Logbook:
         values.drive_temperature_c = snapshot.drive_temperature_c
         values.checks = checks
         values.command_seq = command_seq
-        values.hold_seq = hold_seq
+        values.hold_seq = self._rings.holds.head
         values.cause_bits = causes
         self._rings.records.write(*self._in_order(values))
 
@@ -172,18 +178,22 @@ class Logbook:
         """Write an event; `Kind` gives the meaning of its numbers."""
         self._rings.events.write(t_ns, kind, a, b, value, limit, text)
 
+    def held(self, t_ns: int, before: HeldBy, after: HeldBy, left_s: float, text: bytes) -> None:
+        """What carries the load has changed; once a second of each, should it come and go."""
+        self.notice(t_ns, Kind.HELD, before, after, text, left_s)
+
     def stroke(self, t_ns: int, found: StrokeVerdict) -> None:
         """Whether the drive's position is believed, and why."""
         text = found.why.encode()[:80]
         self.event(t_ns, Kind.STROKE, int(found.believed), 0, number(found.reads_mm), found.last_mm, text)
 
-    def notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"") -> None:
+    def notice(self, t_ns: int, kind: Kind, a: int, b: int, text: bytes = b"", value: float = 0.0) -> None:
         """Write an event, at most once a second each, so that a babbling bus does not drown the others."""
         if t_ns >= self._noticed.get((kind, a, b), 0):
             if len(self._noticed) >= NOTICES_KEPT:
                 self._noticed.clear()
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
-            self.event(t_ns, kind, a, b, text=text)
+            self.event(t_ns, kind, a, b, value, text=text)
 
     def reply(
         self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, figures: Mapping[str, float]
@@ -195,6 +205,13 @@ class Logbook:
                 t_ns=t_ns, id=id_, accepted=refusal is Refusal.NONE, reason=refusal, checks=checks, mode=mode, **finite
             )
         )
+
+    def hold(self, t_ns: int, id_: int, hold: Hold) -> None:
+        """A HOLD from a user of this computer, as it was taken."""
+        self._rings.holds.write(t_ns, id_, hold.uid, hold.pid, hold.operator.encode()[:256])
+        self.event(t_ns, Kind.LOCAL_HOLD, hold.uid, hold.pid, text=hold.operator.encode()[:80])
+        if hold.closed:
+            self.event(t_ns, Kind.HOLD_SOCKET_CLOSED, hold.uid, hold.pid)
 
     def load_bin(self, t_ns: int, part: LoadBin) -> None:
         """A part of a record of the cell's creep."""

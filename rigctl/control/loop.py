@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 
 import can
@@ -15,17 +16,22 @@ from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.gain_table import GainTable
+from rigctl.control.held_tension import HeldTension
+from rigctl.control.hold_sockets import GivenHolds, HoldSource
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
 from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
-from rigctl.control.machine import NOTHING, Change, Machine
-from rigctl.control.margin_probe import MarginProbe
-from rigctl.control.modes import Event, Mode
+from rigctl.control.loop_probe import LoopProbe, NoProbe
+from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
+from rigctl.control.modes import Event, Mode, PowerOff
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
-from rigctl.control.outbox import Outbox
+from rigctl.control.outbox import CONTROLWORD_WRITTEN, Outbox
+from rigctl.control.parking import Parking
+from rigctl.control.preload import Preload
+from rigctl.control.probe_plan import plan
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
@@ -41,11 +47,14 @@ from rigctl.ipc.correction import Correction
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
-COMMANDS_PER_TICK = HOLDS_PER_TICK = 4
+BRAKE_TIMES = 2  # of the brake's time, after which a drive that reports to be off is commanded to have no voltage
+COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
+SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 """Modes in which the law holds the tension."""
+SLIP_BITS = sum(1 << fault for fault in SLIPS)
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
@@ -70,6 +79,7 @@ class Loop:
         watched: Sequence[Watched] = (),
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
         cell_history: CellHistory | None = None,
+        holds: HoldSource | None = None,
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
@@ -77,7 +87,8 @@ class Loop:
         ``law``: makes another law for comparison with ours; the law may read the inbox.
         ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
         ``process_data``: as start-up found it; None: as the rig file has it. ``last_stroke``: the last known stroke.
-        ``cell_history``: of the cell's creep in the loop before; None: not known.
+        ``cell_history``: of the cell's creep in the loop before; None: not known. ``holds``: HOLD from this computer's
+        users; None: there are none.
         """
         self.settings = settings
         self.machine = Machine(_stopping_ns(settings))
@@ -89,33 +100,40 @@ class Loop:
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
         self._table = GainTable.of(settings, gains) if law is None else None
         self.learning = MoveLearning(settings, self.law) if settings.learning is not None else None
-        self._signs, self._stroke_hold = SignCheck(settings), StrokeHold(settings)
+        self._signs = SignCheck(settings)
+        self._stroke_hold, self._held_tension = StrokeHold(settings), HeldTension(settings)
         slack_zero = settings.compensation.slack_zero if settings.compensation is not None else "off"
         self._slack_watch = SlackWatch(settings) if slack_zero != "off" else None
         self._corrects_zero = slack_zero == "correct"
         frequency_trial.prepare(settings)
-        self._probe = MarginProbe(settings)
+        self._preload = Preload(settings)
+        self._probe = (
+            LoopProbe(settings, plan(settings, gains), self.inbox.quantum_mm) if law is None else NoProbe(settings)
+        )
         self.observer = Observer(
             settings, self.inbox, self.outbox, self.machine, self.law, self.homed, self.readback, self._stroke_hold,
-            self._signs,
+            self._held_tension, self._signs, self._probe,
         )  # fmt: skip
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
-        self._clock, self._commands, self._holds = clock, rings.commands, rings.holds
+        self._clock, self._commands = clock, rings.commands
+        self._holds: HoldSource = GivenHolds() if holds is None else holds
         self._watch = Watch(settings, limit_rows(settings))
         self._escalator = Escalator(settings, _stopping_ns(settings))
+        self._parking = Parking(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
         self._done = NOTHING
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
-            self.learning, supervised=supervised,
+            self.learning, self._holds, supervised=supervised,
         )  # fmt: skip
+        self._cut_off_ns = BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
         self._work_ns = self._stop_until = self._off_until = 0
         self._failing = 0  # ticks in a row that ended in an exception
-        logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.cursor)
+        logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
         self._orders.host_checks = host_checks
         if correction is not None:
             self._orders.overdue = correction.overdue
@@ -135,6 +153,7 @@ class Loop:
             self._receive(t_ns, woke_ns, skipped)
             estimate = self.observer.estimate(skipped, regulated=self.machine.mode is Mode.COMPENSATING)
             self._decide(t_ns, estimate)
+            self._look_at_load(t_ns)
             speed_mm_s = self._speed(estimate)
             self._send(t_ns, speed_mm_s)
             self._failing = 0
@@ -169,7 +188,7 @@ class Loop:
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
-        trip = self._watch.look(snapshot, machine.mode, t_ns)
+        trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
@@ -179,8 +198,13 @@ class Loop:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
         orders.prepare(t_ns)
-        machine.follow_drive(snapshot.drive_enabled, t_ns)
+        if machine.taking:
+            machine.follow_drive(snapshot.drive_enabled, t_ns)
+            if machine.drive_wanted:
+                self._stroke_hold.follow()  # the motor took the load from the brake
+                self._held_tension.follow()
         orders.attend(t_ns)
+        self._park(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             if self._signs.passed:
                 machine.on(Event.TENSIONED)
@@ -196,8 +220,9 @@ class Loop:
         """Start what a change of mode needs: ramp, sign check, travel, a new latch of the stroke."""
         law = self.law
         for change in changes:
-            if change.before is Mode.FAULT or change.event is Event.ENABLED:
-                self._stroke_hold.follow()  # motion acknowledged, or the motor took the load from the brake
+            if change.before is Mode.FAULT:
+                self._stroke_hold.follow()  # motion acknowledged
+                self._held_tension.follow()
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
@@ -205,11 +230,10 @@ class Loop:
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
 
     def _take_orders(self, t_ns: int) -> None:
-        """Holds come first, so that no queue of commands delays a HOLD."""
-        if self._holds.waits:
-            for slot in self._holds.read(HOLDS_PER_TICK):
-                self._orders.take_hold(slot, t_ns)
-                self._commanded_ns = t_ns
+        """HOLD comes first, so that no queue of commands delays it."""
+        if (hold := self._holds.take(t_ns)) is not None:
+            self._orders.take_hold(hold, t_ns)
+            self._commanded_ns = t_ns
         if self._commands.waits:
             for slot in self._commands.read(COMMANDS_PER_TICK):
                 if self._orders.take(slot, t_ns):
@@ -217,8 +241,8 @@ class Loop:
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
-        free = mode is Mode.COMPENSATING and trial is None
-        law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot.vertical_error_n, free=free)
+        free, ticks = mode is Mode.COMPENSATING and trial is None, 1 + self.observer.just_skipped
+        law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
         if trial is not None and trial.moves:
             law.added_mm_s = trial.wanted_mm_s
         untold_mm_s = 0.0  # added where the filter is to see its effect only, as that of a disturbance
@@ -264,6 +288,13 @@ class Loop:
         machine, snapshot, outbox = self.machine, self.observer.snapshot, self.outbox
         if machine.stopping:
             self._finish_stop(t_ns)
+        if machine.silent:
+            self.readback.wrote(self.settings.cylinder.node, CONTROLWORD_WRITTEN)
+            outbox.silence(self._clock.now())
+            if machine.starts_anew:
+                self.finished = True
+                self._logbook.event(t_ns, Kind.START_ANEW, machine.fault)
+            return
         power = machine.power(t_ns, drive_enabled=snapshot.drive_enabled, drive_faulted=snapshot.drive_faulted)
         unsafe = outbox.safe_frames < SAFE_FRAMES
         if power is Power.OFF and snapshot.drive_enabled and self._off_waits(t_ns, unsafe=unsafe):
@@ -272,18 +303,21 @@ class Loop:
             power = Power.OFF
         elif power is not Power.OFF:
             self._off_until = t_ns + STOP_LIMIT_NS
+        if power is Power.OFF and snapshot.off_ns >= self._cut_off_ns:
+            power = Power.CUT  # a drive that says it is off and has not closed its brake loses its power
         state = drive_state(self.inbox.statusword)
-        outbox.command(next_controlword(state, power, outbox.controlword), speed_mm_s, self._clock.now())
+        word, preload_n = next_controlword(state, power, outbox.controlword), self._preload.look(snapshot)
+        outbox.command(word, speed_mm_s, self._clock.now(), preload_n, enable=self._enable(power))
         request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
         if request is not None:
             outbox.request(*request)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
-        arming = machine.arming or self.readback.reading_all
+        arming = machine.pending is not None or self.readback.reading_all
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
-            self._commands.cursor, self._holds.cursor, self._watch.standing, self._orders.shown_checks,
+            self._commands.cursor, self._watch.standing, self._orders.shown_checks,
             arming=arming, stroke_known=self.homed.known, move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
         if self.learning is not None:
@@ -307,22 +341,64 @@ class Loop:
         """The stroke moves, or is commanded to by more than the correction of a held stroke."""
         return abs(self.inbox.speed_mm_s) >= STOPPED_MM_S or self.law.command_mm_s != self._stroke_hold.command_mm_s
 
+    def _enable(self, power: Power) -> bool:
+        """The drive's hard-wired enable: set to switch it on, and until it has been off for its brake's time."""
+        snapshot = self.observer.snapshot
+        lingers = snapshot.drive_may_be_on or snapshot.off_ns < self._cut_off_ns
+        return power is Power.ON or (self.outbox.enable.on and lingers)
+
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
         held = abs(self.observer.snapshot.excursion_mm) <= SAID_MM
         return (self._moving() or unsafe) and t_ns < self._off_until and held
 
+    def _look_at_load(self, t_ns: int) -> None:
+        """Take note of what carries the load; where the mode keeps the stroke, a change is an event."""
+        snapshot, machine = self.observer.snapshot, self.machine
+        before, shown = snapshot.held_by, snapshot.power_off
+        self.observer.look_at_load()
+        if snapshot.power_off != shown and snapshot.power_off > PowerOff.AWAITED:
+            since_s = self.observer.power_off.since_s(snapshot.t_ns)
+            self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, 0, value=since_s)
+        if snapshot.held_by is not before and machine.mode in _KEEPS:
+            text = (machine.trial or machine.pending or machine.mode).name.encode()
+            until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
+            left_s = max(0, until_ns - t_ns) * 1e-9
+            self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
+
+    def _park(self, t_ns: int) -> None:
+        """Let the brake take a load that the motor has held for long enough, or lower it where the brake slips."""
+        machine, trial = self.machine, self._orders.trial
+        until_ns = self._orders.powered_until_ns if trial is not None else machine.carry_until_ns
+        powered = machine.drive_wanted and not machine.stopping
+        if machine.mode is Mode.FAULT and machine.carry_until_ns:
+            self._carry_on(t_ns)
+        elif self._parking.due(t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns):
+            machine.park()
+
+    def _carry_on(self, t_ns: int) -> None:
+        """The motor carries while nothing but the slip is wrong; when its time is over, it lowers the load."""
+        machine = self.machine
+        if self._watch.standing & ~SLIP_BITS or not self.observer.snapshot.drive_enabled:
+            machine.park()
+        elif t_ns >= machine.carry_until_ns:
+            machine.lower(t_ns)
+
     def _watch_stroke(self, now_ns: int) -> None:
         """Latch the stroke where the mode keeps it, and write an event when it leaves the latch."""
         hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
-        slips = snapshot.drive_off and snapshot.brake_slip_known
         moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
-        if moves or slips or self.homed.doubted:  # an unconfirmed position cannot be held
+        if moves or self.homed.doubted:  # an unconfirmed position cannot be held
             hold.follow()
         else:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
                 self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
+        if moves:
+            self._held_tension.follow()
+        else:
+            latched = math.isfinite(hold.reference_mm)
+            self._held_tension.watch(snapshot, 1 + self.observer.just_skipped, latched=latched)
 
     def _look_at_zero(self, watch: SlackWatch, now_ns: int) -> None:
         """Compare the cell's zero with what a surely slack rope shows, and correct it if the rig file says so."""
@@ -356,7 +432,8 @@ class Loop:
         signs, inbox = self._signs, self.inbox
         signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
         if signs.passed:
-            self._stroke_hold.found_stiffness(signs.slope_n_mm)
+            self._held_tension.found_stiffness(signs.slope_n_mm)
+            self._probe.found_stiffness(signs.slope_n_mm)
             stiffness = self.settings.plant.stiffness_n_mm
             self._logbook.event(now_ns, Kind.SIGNS, value=signs.slope_n_mm, limit=stiffness)
 
@@ -378,7 +455,10 @@ class Loop:
             word = self.outbox.controlword
             if self._failing > FAILING_TICKS:  # failing ticks do not watch the stroke
                 word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP, word)
-            self.outbox.command(word, 0.0, t_ns)
+            if self.machine.silent or self._failing > SILENT_TICKS:
+                self.outbox.silence(t_ns)
+            else:
+                self.outbox.command(word, 0.0, t_ns)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
             self.outbox.failures += 1
         self.law.follow_speed(0.0)

@@ -15,9 +15,15 @@ from rigctl.control.safety import Action, Trip
 from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000
+"""Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
+LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long
+SLIPS = frozenset({Fault.STROKE_MOVES, Fault.BRAKE_SLIPS, Fault.STROKE_NOT_HELD})
+"""Faults of a brake that does not hold: the motor may carry or lower the load nevertheless."""
 _MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
 DRIVE_RESET_NS = 500_000_000
+SUPERVISED_NS = 2_000_000_000
+"""Time for a drive left to itself to miss heartbeat or command (1 s at most), to stop and to close its brake."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,15 @@ class Answer:
     refusal: Refusal
 
 
+class PendingCommand(NamedTuple):
+    """An accepted command that waits for the drive, and its event once the drive is enabled."""
+
+    id: int
+    verb: Verb
+    event: Event | None
+    carry_ns: int = 0
+
+
 class Outcome(NamedTuple):
     """What the machine has done: changes of mode and answers, in order."""
 
@@ -55,7 +70,8 @@ NOTHING = Outcome()
 class Machine:
     """Starts in DISARMED. `outcome` gives what it has done since the last call.
 
-    ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, never weaker.
+    ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, and weaker only by CARRY
+    and LOWER. ``armed``: by ARM, and not disarmed since; a reset then leads to HOLD.
     """
 
     def __init__(self, cut_after_ns: int = CUT_AFTER_NS) -> None:
@@ -65,12 +81,18 @@ class Machine:
         self.action = Action.HOLD
         self._cut_after_ns, self._cut_at_ns = cut_after_ns, 0
         self.stopping = False
+        self.armed = False
         self.awaiting = False
-        """An accepted ARM waits for the sequence of `rigctl.control.arming`, before the drive's power."""
+        """An accepted command waits for the sequence of `rigctl.control.arming`, before the drive's power."""
+        self.carry_until_ns = 0
+        """In FAULT the motor holds until then and then lowers the load, because the brake does not hold; 0: no."""
+        self.starts_anew = False
+        """A reset of the silence is accepted: the loop ends, and start-up brings all devices up again."""
+        self._silent_at_ns = 0
         self._changes: list[Change] = []
         self._answers: list[Answer] = []
-        self._arm_id: int | None = None
-        self._arm_until = 0
+        self._pending: PendingCommand | None = None
+        self._pending_until = 0
         self._reset_until = 0
         self._powered = False
         self._trial: tuple[int, Verb] | None = None
@@ -92,34 +114,66 @@ class Machine:
     @property
     def arming(self) -> bool:
         """An accepted ARM waits for the drive."""
-        return self._arm_id is not None
+        return self._pending is not None and self._pending.verb is Verb.ARM
+
+    @property
+    def pending(self) -> Verb | None:
+        """An accepted command that waits for the drive."""
+        return None if self._pending is None else self._pending.verb
+
+    @property
+    def taking(self) -> bool:
+        """The drive is commanded on, so that the motor takes the load from the brake."""
+        return self._pending is not None and not self.awaiting
+
+    @property
+    def watched_mode(self) -> Mode:
+        """The mode whose rows of the safety table apply: an arming drive is watched as in HOLD."""
+        return Mode.HOLD if self.taking and self.mode is Mode.DISARMED else self.mode
+
+    @property
+    def silent(self) -> bool:
+        """Nothing is sent to the drive any more, until start-up has brought it up again."""
+        return self.action is Action.SILENCE and self.fault is not Fault.NONE
 
     def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
-        """Power to command now. Only arming switches the drive on; a drive that has dropped out stays off."""
+        """Power to command now. Only arming and taking the load back switch it on; one that dropped out stays off."""
         if drive_faulted and t_ns < self._reset_until:
             return Power.RESET
+        if self.taking:
+            return Power.ON
         if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
             cut = self.action is Action.POWER_OFF and t_ns >= self._cut_at_ns
             return Power.CUT if cut else Power.QUICK_STOP
-        on = (self.arming and not self.awaiting) or (self._powered and drive_enabled)
-        return Power.ON if on else Power.OFF
+        return Power.ON if self._powered and drive_enabled else Power.OFF
 
     @property
     def drive_wanted(self) -> bool:
-        """The mode needs the drive to be enabled."""
+        """The motor carries the load, so the drive has to be enabled."""
         return self._powered
+
+    def park(self) -> None:
+        """The brake takes the load: the drive stops, closes it and goes off; the mode stays."""
+        if self.trial in modes.NEEDS_MOTOR:  # a tare or a calibration only reads, and goes on
+            self.end_trial(Refusal.ABORTED)
+        self._powered, self.carry_until_ns = False, 0
 
     def on(self, event: Event) -> None:
         """Take an event of the rig itself; SLACK with a fault latched is the end of a ramp down, and goes to FAULT."""
-        self._go(Event.TRIP if event is Event.SLACK and self.fault is not Fault.NONE else event)
+        if event is Event.SLACK and self.fault is not Fault.NONE:
+            self.carry_until_ns = 0
+            event = Event.TRIP
+        self._go(event)
 
     def trip(self, trip: Trip, t_ns: int, *, slack: bool = True) -> bool:
         """Latch the first fault and take the strongest action; returns whether this trip changes anything.
 
         A drive under power holds, except after a quick stop or power off. A ramp down needs a tight rope (not
-        ``slack``) in a mode that moves or may move; elsewhere it becomes a hold, and a hold ends it.
+        ``slack``) on the motor, in a mode that moves or may move; elsewhere it becomes a hold, and a hold ends it.
         """
-        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE
+        if trip.fault in SLIPS and self.taking and self.mode is Mode.FAULT:
+            return False  # the motor takes the load because the brake slips
+        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE and self._powered
         action = trip.action if ramps else max(trip.action, Action.HOLD)
         if self.fault is not Fault.NONE and action <= self.action:
             return False
@@ -128,9 +182,11 @@ class Machine:
         if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
             self._powered = False
             self._cut_at_ns = t_ns + self._cut_after_ns
-        self.action = action
+        if action is Action.SILENCE:
+            self._silent_at_ns = t_ns
+        self.action, self.carry_until_ns = action, 0
         self._go(Event.RAMP_DOWN if ramps else Event.TRIP)
-        self._finish_arming(Refusal.PREFLIGHT)
+        self._finish_pending(Refusal.PREFLIGHT if self.arming else Refusal.ABORTED)
         self.end_trial(Refusal.ABORTED)
         return True
 
@@ -139,45 +195,73 @@ class Machine:
         self.end_trial(Refusal.ABORTED)
         if self.stopping:
             return self._answer(id_, verb, Refusal.STOPPING)
-        if verb in modes.TRIED_IN and self.arming:
+        if verb is Verb.RESET and self.silent:
+            early = t_ns - self._silent_at_ns < SUPERVISED_NS
+            self.starts_anew = not early
+            return self._answer(id_, verb, Refusal.STOP_RUNNING if early else Refusal.NONE)
+        if self.silent and verb in modes.NEEDS_MOTOR:
             return self._answer(id_, verb, Refusal.WRONG_MODE)
-        if verb in (Verb.DISARM, Verb.HOLD) and self.arming:  # the load stays on the brake
-            self._finish_arming(Refusal.ABORTED)
-            return self._answer(id_, verb, Refusal.NONE)
-        if verb is Verb.ARM and self.arming:
-            return self._answer(id_, verb, Refusal.ALREADY)
+        if self._pending is not None and (answered := self._interrupt(id_, verb)) is not None:
+            return answered
         decision = modes.decide(self.mode, verb, situation)
-        if decision.refusal is Refusal.NONE and verb is Verb.ARM:
-            self._arm_id, self._arm_until = id_, t_ns + ARM_LIMIT_NS
+        if decision.refusal is not Refusal.NONE:
+            return self._answer(id_, verb, decision.refusal)
+        carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
+        if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self._powered):
+            event = Event.ENABLED if verb is Verb.ARM else decision.event
+            self._pending = PendingCommand(id_, verb, event, carry_ns)
+            self._pending_until = t_ns + ARM_LIMIT_NS
             return None
-        if decision.refusal is Refusal.NONE and verb in modes.TRIED_IN:
+        if verb in modes.TRIED_IN:
             self._trial = (id_, verb)
             return None
-        if decision.refusal is Refusal.NONE:
-            self._accept(verb, decision.event, t_ns)
-        return self._answer(id_, verb, decision.refusal)
+        self._accept(verb, decision.event, t_ns, carry_ns)
+        return self._answer(id_, verb, Refusal.NONE)
+
+    def _interrupt(self, id_: int, verb: Verb) -> Refusal | None:
+        """What a command does to the one that waits for the drive; None: it is decided as any other."""
+        if verb is self.pending:
+            return self._answer(id_, verb, Refusal.ALREADY)
+        if verb in modes.TRIED_IN and self.arming:
+            return self._answer(id_, verb, Refusal.WRONG_MODE)
+        if verb in (Verb.DISARM, Verb.HOLD):  # the load stays on the brake
+            self._finish_pending(Refusal.ABORTED)
+            return self._answer(id_, verb, Refusal.NONE) if verb is Verb.HOLD or self.mode is Mode.DISARMED else None
+        if verb in modes.NEEDS_MOTOR or verb is Verb.RESET:
+            self._finish_pending(Refusal.ABORTED)
+        return None
 
     def _answer(self, id_: int, verb: Verb, refusal: Refusal) -> Refusal:
         self._answers.append(Answer(id_, verb, refusal))
         return refusal
 
     def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
-        """Finish arming once the drive is enabled, or give up."""
-        if self._arm_id is None or self.awaiting:
+        """Carry out the command that waits for the drive once it is enabled, or give up."""
+        pending = self._pending
+        if pending is None or self.awaiting:
             return
-        if drive_enabled:
-            self._go(Event.ENABLED)
-            self._finish_arming(Refusal.NONE)
-        elif t_ns >= self._arm_until:
-            self._finish_arming(Refusal.DRIVE_TIMEOUT)
+        if not drive_enabled:
+            if t_ns >= self._pending_until:
+                self._finish_pending(Refusal.DRIVE_TIMEOUT)
+                if self.mode is Mode.FAULT:  # whatever the drive does now, its brake has to close
+                    self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
+            return
+        self._powered, self._pending = True, None
+        if pending.verb in modes.TRIED_IN:
+            self._trial = pending.id, pending.verb
+            return
+        self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
+        self._answer(pending.id, pending.verb, Refusal.NONE)
 
     def switch_on(self, t_ns: int) -> None:
-        """The sequence of the accepted ARM is complete: the drive may have its power."""
-        self.awaiting, self._arm_until = False, t_ns + ARM_LIMIT_NS
+        """The sequence before it is complete: the drive may have its power."""
+        self.awaiting, self._pending_until = False, t_ns + ARM_LIMIT_NS
+        if self.mode is Mode.FAULT:
+            self.action = Action.HOLD
 
-    def refuse_arming(self, refusal: Refusal) -> None:
-        """Refuse the ARM under way."""
-        self._finish_arming(refusal)
+    def refuse_pending(self, refusal: Refusal) -> None:
+        """Refuse the command that waits for the drive."""
+        self._finish_pending(refusal)
 
     def end_trial(self, refusal: Refusal) -> None:
         """Answer the trial under way, if there is one."""
@@ -185,24 +269,34 @@ class Machine:
             self._answers.append(Answer(*self._trial, refusal))
             self._trial = None
 
+    def lower(self, t_ns: int) -> None:
+        """The time of a CARRY is over: the motor lowers the load, since the brake would not hold it."""
+        self._accept(Verb.LOWER, Event.LOWER, t_ns, 0)
+
     def stop(self) -> None:
         """The process ends: hold the stroke and take no more commands."""
         if not self.stopping:
             self.stopping = True
             self.end_trial(Refusal.ABORTED)
-            self._finish_arming(Refusal.STOPPING)
+            self._finish_pending(Refusal.STOPPING)
             self._go(Event.STOP if self.fault is Fault.NONE else Event.TRIP)
 
     def power_off(self) -> None:
         """Let the drive close its brake and go off, in any mode, as the last act of a stop."""
         self._powered = False
 
-    def _accept(self, verb: Verb, event: Event | None, t_ns: int) -> None:
-        if verb is Verb.RESET:
-            self._reset_until = t_ns + DRIVE_RESET_NS
-            self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
-        if verb is Verb.DISARM:
-            self._powered = False
+    def _accept(self, verb: Verb, event: Event | None, t_ns: int, carry_ns: int) -> None:
+        match verb:
+            case Verb.RESET:
+                self._reset_until = t_ns + DRIVE_RESET_NS
+                self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
+            case Verb.DISARM:
+                self._powered = self.armed = False
+                self.carry_until_ns = 0
+            case Verb.CARRY:
+                self.action, self.carry_until_ns = Action.HOLD, t_ns + carry_ns
+            case Verb.LOWER:
+                self.action, self.carry_until_ns = Action.RAMP_DOWN, max(self.carry_until_ns, t_ns + LOWERED_NS)
         if event is not None:
             self._go(event)
 
@@ -213,13 +307,13 @@ class Machine:
             return
         self.mode = after
         self.end_trial(Refusal.ABORTED)
-        if after is Mode.DISARMED:
-            self._powered = False
-        elif after is not Mode.FAULT:
-            self._powered = True
+        if event is Event.ENABLED:
+            self._powered = self.armed = True
+        elif after is Mode.DISARMED:
+            self._powered = self.armed = False
         self._changes.append(Change(before, after, event))
 
-    def _finish_arming(self, refusal: Refusal) -> None:
-        if self._arm_id is not None:
-            self._answers.append(Answer(self._arm_id, Verb.ARM, refusal))
-            self._arm_id, self.awaiting = None, False
+    def _finish_pending(self, refusal: Refusal) -> None:
+        if self._pending is not None:
+            self._answers.append(Answer(self._pending.id, self._pending.verb, refusal))
+            self._pending, self.awaiting = None, False

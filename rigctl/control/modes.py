@@ -16,11 +16,83 @@ class Mode(IntEnum):
     """What the rig is doing."""
 
     DISARMED = 0  # drive off, brake closed
-    HOLD = 1  # drive on, stroke held
+    HOLD = 1  # stroke held: by the motor for hold.park_s, then by the brake with the drive off
     TENSIONING = 2  # bounded ramp to the target
     COMPENSATING = 3  # closed loop on the target
     RELEASING = 4  # bounded ramp to slack
     FAULT = 5  # stroke held, latched
+
+
+class HeldBy(IntEnum):
+    """What carries the load; the first in a mode that moves the stroke."""
+
+    NOTHING = 0
+    MOTOR = 1  # IEC 61800-5-2: SOS, safe operating stop
+    CLOSING = 2  # the drive stops, closes its brake and goes off
+    BRAKE = 3  # SBC, safe brake control: drive off, brake closed
+    TAKING = 4  # the drive is being switched on, the motor takes the load from the brake
+    UNKNOWN = 5  # the drive does not report its state
+
+
+REST_S = 2.0  # for which a tension or a stroke at rest shows that a drive has no power
+
+
+class PowerOff(IntEnum):
+    """What shows that a drive commanded off is without power; the number is in the record."""
+
+    NONE = 0  # no such command
+    AWAITED = 1
+    INPUT = 2  # the drive's STO feedback at the I/O node
+    HEARTBEAT = 3  # the drive reports NMT stopped, and the tension does not move
+    TENSION = 4  # a tight rope's tension at rest
+    STROKE = 5  # slack rope: the drive reports a state without power, and a stroke at rest
+    UNCONFIRMED = 6  # nothing in time
+
+    @property
+    def confirmed(self) -> bool:
+        """The power is off."""
+        return self in _CONFIRMED
+
+    @property
+    def words(self) -> str:
+        """In the events and on the screens."""
+        return _SHOWN_WORDS.get(self, "")
+
+
+_CONFIRMED = frozenset({PowerOff.INPUT, PowerOff.HEARTBEAT, PowerOff.TENSION, PowerOff.STROKE})
+_SECONDS = f"{REST_S:g} s"
+_SHOWN_WORDS: dict[PowerOff, str] = {
+    PowerOff.AWAITED: "power off commanded, not yet confirmed",
+    PowerOff.INPUT: "power off confirmed by the drive's STO feedback",
+    PowerOff.HEARTBEAT: "power off confirmed by the drive's heartbeat, which reports NMT stopped",
+    PowerOff.TENSION: f"power off confirmed by a tension at rest for {_SECONDS}",
+    PowerOff.STROKE: f"power off confirmed by the drive's state and a stroke at rest for {_SECONDS}, on a slack rope",
+    PowerOff.UNCONFIRMED: "POWER OFF UNCONFIRMED, the drive may still move the load",
+}
+
+
+_MOVES = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
+
+
+def held_by(mode: Mode, *, known: bool, braked: bool, taking: bool, powered: bool) -> HeldBy:
+    """What carries the load now.
+
+    Args:
+        mode: the mode.
+        known: the drive's state is fresh.
+        braked: the drive has been off for as long as its brake takes to close.
+        taking: the drive has been commanded on and is not enabled yet.
+        powered: the drive is enabled and is to stay so.
+    """
+    if not known:
+        return HeldBy.UNKNOWN
+    if taking:
+        return HeldBy.TAKING
+    if braked:
+        return HeldBy.BRAKE
+    if not powered:
+        return HeldBy.CLOSING
+    return HeldBy.NOTHING if mode in _MOVES else HeldBy.MOTOR
 
 
 class Event(IntEnum):
@@ -34,10 +106,11 @@ class Event(IntEnum):
     HOLD = 5
     DISARM = 6
     TRIP = 7
-    RESET_HELD = 8  # fault acknowledged, drive still on
-    RESET_OFF = 9  # fault acknowledged, drive off
+    RESET_HELD = 8  # fault acknowledged, the rig was armed
+    RESET_OFF = 9  # fault acknowledged, the rig was not armed, or its drive is in a fault of its own
     STOP = 10  # the process is to end
     RAMP_DOWN = 11  # a limit whose action is to ramp the tension down
+    LOWER = 12  # the motor lowers a load that the brake does not hold
 
 
 class Verb(IntEnum):
@@ -57,6 +130,8 @@ class Verb(IntEnum):
     CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position
     RESPONSE = 13  # frequency response by a multisine; a trial, as IDENTIFY
     MOVE = 14  # a move of the mechanism begins, or the one under way has ended
+    CARRY = 15  # in FAULT: the motor holds a load that the brake does not hold
+    LOWER = 16  # in FAULT: the motor lowers such a load until the rope is slack
 
 
 class Setting(IntEnum):
@@ -69,6 +144,7 @@ class Setting(IntEnum):
     LAW_GAINS = 135
     MARGINS = 140  # the loop's sensitivity peak as measured while COMPENSATING
     CREEP = 144
+    DIFFERS = 145  # |S| as measured and the nearest that the design's family has, where the two differ
 
 
 VALUES: dict[int, tuple[str, ...]] = {
@@ -79,12 +155,14 @@ VALUES: dict[int, tuple[str, ...]] = {
     Verb.CONFIRM_STROKE: ("stroke_mm",),
     Verb.RESPONSE: ("regulated",),
     Verb.MOVE: ("move",),
+    Verb.CARRY: ("carry_s",),
     Setting.ZERO: ("zero_n", "zero_c", "zero_n_k", "second_zero_n"),
     Setting.SCALE: ("scale", "overdue", "second_scale"),
     Setting.OVERDUE: ("overdue",),
     Setting.HOST_CHECKS: ("host_checks",),
     Setting.LAW_GAINS: ("k_tension", "k_speed", "k_integral"),
     Setting.MARGINS: ("sensitivity_peak", "sensitivity_peak_error"),
+    Setting.DIFFERS: ("sensitivity_peak", "sensitivity_peak_error"),
     Setting.CREEP: ("creep_1", "creep_1_s", "creep_2", "creep_2_s", "creep_held_s"),
 }
 """Fields of a ``COMMAND`` slot that a command or setting uses, beside time and id."""
@@ -128,6 +206,8 @@ class Refusal(IntEnum):
     BRAKE_SLIPPED = 22  # the brake did not hold the load while the drive was off; value: mm
     UNFELT = 23  # the cell does not show the motion of the stroke
     NO_LEARNING = 24  # the rig file has no section learning
+    CARRIED = 100  # the motor carries a load that the brake does not hold; value: time left in s
+    DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
 
 @dataclass(frozen=True)
@@ -138,7 +218,9 @@ class Situation:
     cause_present: bool = False  # the latched fault's cause
     stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault_latched: bool = False
-    drive_enabled: bool = False
+    armed: bool = False  # by ARM, and not disarmed since
+    carried: bool = False  # the motor carries the load because the brake does not
+    disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
     drive_faulted: bool = False
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
@@ -146,6 +228,7 @@ class Situation:
     measured_mm: float = 0.0  # stroke of a CONFIRM_STROKE
     needs_tight: bool = False  # of an IDENTIFY
     regulated: float = math.nan  # of a RESPONSE: 1 only while COMPENSATING, 0 only in HOLD, NaN in either
+    carry_s: float = math.nan  # of a CARRY: how long
     move: float = 0.0  # number of a MOVE
     moves: int = 0  # highest number of a move; 0: nothing is learnt
     stroke_mm: float = math.nan  # NaN: unknown now
@@ -163,10 +246,12 @@ def preflight_passed(situation: Situation) -> Refusal:
 
 
 def cause_gone(situation: Situation) -> Refusal:
-    """No cause of the latched fault stands, and the stop it began has ended."""
+    """No cause of the latched fault stands, the stop it began has ended, and the motor does not carry the load."""
     # A reset during the stop would also cancel the power off that follows if the drive does not obey.
     if situation.cause_present:
         return Refusal.CAUSE_PRESENT
+    if situation.carried:  # the brake would have to hold again: lower, or disarm to try it
+        return Refusal.CARRIED
     return Refusal.STOP_RUNNING if situation.stop_running else Refusal.NONE
 
 
@@ -222,6 +307,15 @@ def stroke_as_measured(situation: Situation) -> Refusal:
     return Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
 
 
+def motor_may_carry(situation: Situation) -> Refusal:
+    """The rope is tight, encoder and tension agree on how the load moves, and the time is 1 s to 1 h."""
+    if situation.slack:
+        return Refusal.SLACK
+    if not CARRY_S[0] <= situation.carry_s <= CARRY_S[1]:
+        return Refusal.OUT_OF_RANGE
+    return Refusal.DISAGREE if situation.disagree else Refusal.NONE
+
+
 def drive_at_fault(situation: Situation) -> Refusal:
     """The drive reports a fault of its own, from before this daemon, that a reset can clear."""
     if not situation.drive_faulted:
@@ -237,6 +331,8 @@ class Transition:
     guard: Guard | None = None
 
 
+CARRY_S = 1.0, 3600.0
+"""Shortest and longest time of a CARRY."""
 _ALIVE = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 _TIGHT = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING)
 
@@ -252,6 +348,7 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.RELEASING, Event.SLACK): Transition(Mode.HOLD, no_fault_latched),
     (Mode.FAULT, Event.RESET_HELD): Transition(Mode.HOLD, cause_gone),
     (Mode.FAULT, Event.RESET_OFF): Transition(Mode.DISARMED, cause_gone),
+    (Mode.FAULT, Event.LOWER): Transition(Mode.RELEASING, rope_tight),
     **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
     **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
     **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
@@ -290,6 +387,7 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     **{(mode, Verb.CONFIRM_STROKE): stroke_as_measured for mode in (Mode.DISARMED, Mode.FAULT)},
     (Mode.COMPENSATING, Verb.MOVE): move_known,
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
+    (Mode.FAULT, Verb.CARRY): motor_may_carry,
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},
     **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
@@ -298,7 +396,16 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
 }
 """Commands that change no mode, or not at once, with their guards."""
 
-_EVENT_OF = {Verb.TENSION: Event.TENSION, Verb.RELEASE: Event.RELEASE, Verb.HOLD: Event.HOLD, Verb.DISARM: Event.DISARM}
+NEEDS_MOTOR = frozenset({Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER})
+"""With the load on the brake, these first have the motor take it back."""
+
+_EVENT_OF = {
+    Verb.TENSION: Event.TENSION,
+    Verb.RELEASE: Event.RELEASE,
+    Verb.HOLD: Event.HOLD,
+    Verb.DISARM: Event.DISARM,
+    Verb.LOWER: Event.LOWER,
+}
 _ALREADY = {
     (Mode.TENSIONING, Verb.TENSION),
     (Mode.COMPENSATING, Verb.TENSION),
@@ -309,14 +416,17 @@ _ALREADY = {
 
 
 def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
-    """What a command does in a mode. ARM and DISARM without an event take effect through the drive first."""
+    """What a command does in a mode. ARM and DISARM without an event take effect through the drive first.
+
+    A reset of a drive's own fault ends in DISARMED, so that a whole arming follows.
+    """
     if (mode, verb) in _ALREADY:
         return Decision(Refusal.ALREADY)
     if (mode, verb) in WITHOUT_EVENT:
         return _guarded(WITHOUT_EVENT[mode, verb], None, situation)
     event = _EVENT_OF.get(verb)
     if verb is Verb.RESET:
-        event = Event.RESET_HELD if situation.drive_enabled else Event.RESET_OFF
+        event = Event.RESET_HELD if situation.armed and not situation.drive_faulted else Event.RESET_OFF
     if event is Event.HOLD and mode is Mode.RELEASING and situation.fault_latched:
         return Decision(event=Event.TRIP)  # the ramp down ends here, stroke held, the fault still latched
     if event is None or (mode, event) not in TRANSITIONS:

@@ -10,21 +10,27 @@ from rigctl.control.arming import Standstill
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
+from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Mode
+from rigctl.control.modes import Mode, held_by
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
+from rigctl.control.power_off import PowerOffWatch
 from rigctl.control.readback import Readback
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import status_stale_ns
+from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.signs import SignCheck
+from rigctl.control.sinking import Sinking
 from rigctl.control.snapshot import EStop, Snapshot
 from rigctl.control.stretch_lead import StretchLead
 from rigctl.control.stroke_hold import StrokeHold
 from rigctl.control.sync_timing import SyncTiming
+from rigctl.control.take_up import TakeUp
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.devices.objects import (
     OFF_STATES,
@@ -41,6 +47,8 @@ from rigctl.ipc.record import Flag
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
+_ON_COMMANDS = frozenset({Controlword.SWITCH_ON.value, Controlword.ENABLE_OPERATION.value})
+_STOPS = frozenset({DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY})
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
@@ -55,14 +63,18 @@ class Observer:
 
     def __init__(
         self, settings: RigSettings, inbox: Inbox, outbox: Outbox, machine: Machine, law: TensionLaw, homed: Homed,
-        readback: Readback, stroke_hold: StrokeHold, signs: SignCheck,
+        readback: Readback, stroke_hold: StrokeHold, held_tension: HeldTension, signs: SignCheck, probe: NoProbe,
     ) -> None:  # fmt: skip
         self.inbox = inbox
         self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
-        self._readback, self._stroke_hold, self._signs = readback, stroke_hold, signs
+        self._readback, self._signs, self._probe = readback, signs, probe
+        self._stroke_hold, self._held_tension = stroke_hold, held_tension
         self._plausibility = Plausibility(settings)
         self._went_off = True  # the drive has been off since it was last commanded to be enabled
+        self._period_s = settings.loop.period_ns * 1e-9
+        self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
         self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
         self.snapshot = Snapshot(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -88,9 +100,13 @@ class Observer:
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._status_stale_ns = status_stale_ns(settings)
         self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
+        self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
-        self._standstill = Standstill(settings)
+        self._take_up = TakeUp(settings)
+        self._standstill, self._sinking = Standstill(settings), Sinking(settings)
+        self.power_off = PowerOffWatch(settings)
+        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._off_since_ns: int | None = None
 
     @property
@@ -101,8 +117,7 @@ class Observer:
     def look(self, now_ns: int, skipped: int) -> None:
         """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
         inbox, snapshot, statusword = self.inbox, self.snapshot, self.inbox.statusword
-        if inbox.second is not None:
-            inbox.second.look(inbox.cell_n, inbox.stroke_mm, inbox.speed_mm_s, now_ns)
+        inbox.fuse(now_ns)
         self.just_skipped = skipped
         snapshot.t_ns = now_ns
         if skipped:
@@ -121,7 +136,6 @@ class Observer:
         snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
         snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
-        self.acknowledge_slip(known=snapshot.brake_slip_known and not snapshot.drive_enabled)
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         if not (snapshot.drive_off or state is DriveState.FAULT):
@@ -130,6 +144,7 @@ class Observer:
             self._off_since_ns = now_ns
         snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
+        self._look_at_sinking(now_ns)
         self._look_at_drive_status(now_ns)
         self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
@@ -151,7 +166,7 @@ class Observer:
         snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
         snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
         snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
-        snapshot.tension_rate_n_s = figures.tension_rate_n_s
+        snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.cell_step_n
 
     def look_at_control(self, t_ns: int, commanded_ns: int, travel_from_mm: float) -> None:
         """Add to the snapshot what the loop itself wants and has found; after `look`.
@@ -170,6 +185,24 @@ class Observer:
         least = self.sensitivity_peak - self.sensitivity_peak_error
         snapshot.least_peak = least if least > 0.0 else 0.0
         snapshot.vertical_error_n = self.inbox.tension_n * self.cosine - law.setpoint_n if tight else 0.0
+        probe, target_n = self._probe, law.target_n / self.cosine
+        ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
+        probe.look(snapshot, self.cosine, target_n, ramping=ramping, compensating=compensating)
+        travel = probe.travel
+        snapshot.cell_frozen = probe.found is ProbeFinding.CELL_FROZEN
+        snapshot.encoder_stuck = probe.found is ProbeFinding.ENCODER_STUCK
+        snapshot.drive_motionless = probe.found is ProbeFinding.DRIVE_MOTIONLESS
+        snapshot.rope_changed = probe.found is ProbeFinding.ROPE_CHANGED
+        snapshot.probe_words = probe.words
+        snapshot.unseen_n, snapshot.unseen_bound_n = travel.unseen_n, travel.bound_n
+        snapshot.unseen_excess_n = travel.excess_n
+        slack, tensioning = self.slack, machine.mode is Mode.TENSIONING
+        self._take_up.look(
+            snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, law.target_n,
+            slack=slack, tensioning=tensioning,
+        )  # fmt: skip
+        snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
+        snapshot.taken_up_excess_n = self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost
         snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
@@ -179,23 +212,48 @@ class Observer:
         self._went_off = not commanded and (self._went_off or snapshot.drive_off)
         known = snapshot.drive_age_ns <= self._stale_ns  # a silent drive may have obeyed long ago
         snapshot.drive_unasked = known and enabled and self._went_off
-        snapshot.drive_lingers = known and enabled and not commanded
+        self._look_at_power()
+        snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
-        snapshot.excursion_mm, snapshot.doubt_mm = self._stroke_hold.error_mm, self._stroke_hold.doubt_mm
+        snapshot.excursion_mm, snapshot.corrected_mm = self._stroke_hold.error_mm, self._stroke_hold.corrected_mm
+        held = self._held_tension
+        snapshot.stretched_mm, snapshot.growing_mm = held.stretched_mm, held.growing_mm
+        snapshot.fallen_n, snapshot.sinks_n = held.fallen_n, held.sinks_n
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         snapshot.zero_found_n = self.inbox.cell.zero_found_n
         self.look_at_settings()
 
+    def look_at_load(self) -> None:
+        """What carries the load, and whether a power off is confirmed, after this tick's decision."""
+        snapshot, machine = self.snapshot, self._machine
+        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot)
+        snapshot.held_by = held_by(
+            machine.mode,
+            known=snapshot.drive_age_ns <= self._stale_ns,
+            braked=snapshot.off_ns >= self._brake_ns,
+            taking=machine.taking,
+            powered=snapshot.drive_enabled and machine.drive_wanted,
+        )
+
+    def _look_at_power(self) -> None:
+        """Whether the drive may have power, by commands and fresh samples; and what it may have moved unseen."""
+        snapshot, fresh = self.snapshot, self.inbox.drive_fresh
+        without = snapshot.drive_off or drive_state(self.inbox.statusword) is DriveState.FAULT
+        commanded_on = self._outbox.controlword in _ON_COMMANDS
+        snapshot.drive_may_be_on = commanded_on or (not without if fresh else snapshot.drive_may_be_on)
+        snapshot.drive_stops = drive_state(self.inbox.statusword) in _STOPS
+        speed_mm_s = max(abs(snapshot.speed_mm_s) if fresh else self._fastest_mm_s, abs(self._law.command_mm_s))
+        self._fastest_mm_s = speed_mm_s
+        passed_s = (1 + self.just_skipped) * self._period_s
+        unseen = snapshot.drive_may_be_on and not fresh
+        snapshot.unseen_mm = snapshot.unseen_mm + speed_mm_s * passed_s if unseen else 0.0
+
     def look_at_settings(self) -> None:
         """Take from the read-back which settings of the devices are lost."""
         snapshot, readback = self.snapshot, self._readback
         snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
-        snapshot.settings_words = readback.worst
-
-    def acknowledge_slip(self, *, known: bool = True) -> None:
-        """A reset has acknowledged that the brake slips, so that arming may put the load on the motor; or no more."""
-        self.snapshot.brake_slip_known = known
+        snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
@@ -208,9 +266,19 @@ class Observer:
         snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
         snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
+    def _look_at_sinking(self, now_ns: int) -> None:
+        """Motion of the load on the closed brake."""
+        sinking, snapshot = self._sinking, self.snapshot
+        sinking.look(now_ns, snapshot)
+        snapshot.sink_mm_s, snapshot.sink_apart_mm = sinking.speed_mm_s, sinking.apart_mm
+        snapshot.sink_left_mm = sinking.left_mm
+
     def _look_at_fitted(self, now_ns: int) -> None:
         """What only some rigs have."""
         inbox, snapshot = self.inbox, self.snapshot
+        if self._sync_timing is not None:
+            alive = now_ns - inbox.bus_t_ns <= self._bus_silent_ns
+            snapshot.sync_age_ns = min(snapshot.drive_age_ns, snapshot.cell_age_ns) if alive else 0
         if inbox.second is not None:
             snapshot.force_gap_n, snapshot.second_known = inbox.second.gap_n, inbox.second.known
             snapshot.second_age_ns = now_ns - inbox.second.t_ns
@@ -219,6 +287,9 @@ class Observer:
             snapshot.warmth_age_ns = now_ns - inbox.warmth_t_ns
         if self._io_fitted:
             snapshot.io_age_ns = now_ns - inbox.io_t_ns
+            enable, fresh = self._outbox.enable, snapshot.io_age_ns <= self._io_stale_ns
+            snapshot.torque_off = fresh and inbox.io_drive_off
+            snapshot.enable_ignored = enable.fitted and fresh and inbox.io_drive_off is enable.on
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """The filters' estimate, predicted to when a command acts; ``regulated``: the run-out table may learn.
@@ -280,6 +351,7 @@ class Observer:
     def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.correct(correction, held_s=held_s, history=history)
+        self._held_tension.follow()
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
             self.filter.reset(self.tension_n, self.inbox.speed_mm_s)

@@ -6,27 +6,46 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
+from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import HOST_CHECKS, Check
-from rigctl.control.events import Kind
+from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.faults import Fault
+from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
+from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text, tare_limit_n
-from rigctl.ipc.record import COMMAND_LIFETIME_NS
+from rigctl.ipc.hold_socket import HoldAnswer
+from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 _Values = dict[str, float]  # of a command, by the names in `modes.VALUES`
+
+
+class _Waiting(NamedTuple):
+    """A command that waits for the read-back of every supervised object."""
+
+    id: int
+    verb: Verb
+    values: _Values
+    since_ns: int
+    mode: Mode
+
+
+RECHECK_NS = 600_000_000_000
+"""A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
+_AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END
+"""Checks that bar no way out of a parked HOLD: what they guard against has not changed since the rig was armed."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
@@ -50,6 +69,7 @@ class Orders:
         readback: Readback,
         homed: Homed,
         learning: MoveLearning | None,
+        holds: HoldSource,
         *,
         supervised: bool,
     ) -> None:
@@ -60,16 +80,22 @@ class Orders:
         self.trial: trials.Trial | None = None
         self.host_checks = self.shown_checks = 0
         self.overdue = False
+        self._unmeasured = math.nan  # why there are no margins, as it was last in an event
         self.gains_ordered = False  # gains have come as an order since the start
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
-        self._readback, self._homed, self._learning = readback, homed, learning
-        self._arm: tuple[int, _Values, int] | None = None  # id, values and time of an ARM that waits for the read-back
+        self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
+        self._waiting: _Waiting | None = None
+        self._parked_ns: int | None = None  # when the brake took the load of an armed rig
+        self._recheck = False  # a fault has been reset since the last read-back of every object
+        self._values: _Values = {}  # of the command under way
+        self.powered_until_ns = 0
+        """The motor may hold until then for the trial under way; 0: the trial needs no power."""
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
         self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found: _Values = {}  # figures of the last trial
-        self._held_ns = 0  # when the last HOLD from the ring of holds was given
+        self._held_ns = 0  # when the last HOLD of a user of this computer was taken
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
 
     def take(self, slot: object, t_ns: int) -> bool:
@@ -88,26 +114,26 @@ class Orders:
             self._obey(id_, Verb(code), values, t_ns)
         return code in _VERBS
 
-    def take_hold(self, slot: object, t_ns: int) -> None:
-        """Take one slot of the ring of holds: a HOLD, which anyone may give."""
-        names = ("t_ns", "id", "uid", "pid", "operator")
-        given_ns, id_, uid, pid, operator = (slot[name].item() for name in names)  # type: ignore[index]
-        self._logbook.event(t_ns, Kind.LOCAL_HOLD, uid, pid, text=operator[:80])
-        if abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:
-            self._reply(t_ns, id_, Refusal.EXPIRED)
-        else:
-            self._held_ns = given_ns
-            self._obey(id_, Verb.HOLD, {}, t_ns)
+    def take_hold(self, hold: Hold, t_ns: int) -> None:
+        """Take a HOLD of a user of this computer, which anyone may give, however long it has waited."""
+        id_ = HOLD_ID | t_ns
+        self._logbook.hold(t_ns, id_, hold)
+        self._held_ns = t_ns
+        self._obey(id_, Verb.HOLD, {}, t_ns)
 
     def attend(self, t_ns: int) -> None:
-        """Go on with a waiting ARM, the preflight for display, and the trial, which is answered once it has ended."""
+        """Go on with a waiting command, the preflight for display, and the trial, answered once it has ended."""
         machine = self._machine
-        if self._arm is not None:
-            self._go_on_arming(self._arm, t_ns)
-        if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.arming:
+        parked = machine.armed and self._observer.snapshot.held_by is HeldBy.BRAKE
+        self._parked_ns = (self._parked_ns or t_ns) if parked else None
+        if self._waiting is not None:
+            self._go_on_waiting(self._waiting, t_ns)
+        if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.pending:
             self._look_ns = t_ns + LOOK_NS
             failing = self.failed_checks()
             self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
+        if self.trial is None and machine.trial is not None:  # the motor has taken the load for it
+            self._begin_trial(machine.trial, t_ns)
         trial = self.trial
         if trial is None:
             return
@@ -123,18 +149,18 @@ class Orders:
         self.trial = None
 
     def prepare(self, t_ns: int) -> None:
-        """Go on with the sequence of an accepted ARM; the preflight must pass to its end."""
+        """Go on with the sequence of an accepted command; the checks must pass to its end."""
         machine, snapshot, sequence = self._machine, self._observer.snapshot, self._sequence
         if not machine.awaiting:
             return
         step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
         if step is arming.ArmingStep.SLIPPED:
-            machine.refuse_arming(Refusal.BRAKE_SLIPPED)
+            machine.refuse_pending(Refusal.BRAKE_SLIPPED)
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
-        elif step is arming.ArmingStep.LATE or self.failed_checks(near_end=self._near_end) & ~arming.AWAITED_CHECKS:
-            machine.refuse_arming(Refusal.PREFLIGHT)
+        elif step is arming.ArmingStep.LATE or self._barring() & ~arming.AWAITED_CHECKS:
+            machine.refuse_pending(Refusal.PREFLIGHT)
         elif step is arming.ArmingStep.READY:
             machine.switch_on(t_ns)
             if sequence.tested is not None:
@@ -144,28 +170,40 @@ class Orders:
     def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
         for given in answers:
-            checks, figures = 0, {"tension_n": self._observer.tension_n}
-            if given.refusal is Refusal.PREFLIGHT:
-                failing = self.failed_checks(near_end=self._near_end)
-                checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
-            elif given.refusal is Refusal.BRAKE_SLIPPED:
-                figures = {"moved_mm": self._sequence.moved_mm}
-            elif given.refusal is Refusal.STOP_RUNNING:
-                figures = {"speed_mm_s": self._observer.inbox.speed_mm_s}
-            elif given.refusal is Refusal.CAUSE_PRESENT:
-                figures = {"cause": float(self._watch.present(self._observer.snapshot))}
-                checks = self._watch.blocking(self._observer.snapshot)
-            elif given.refusal is Refusal.LOADED:
-                figures = {"reading_n": self._observer.inbox.reading_n}
-            elif given.verb is Verb.MOVE and self._learning is not None:
-                figures = {"taught": float(self._learning.taught)}
-            elif given.verb is Verb.CONFIRM_STROKE:
-                figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
-            elif given.verb in (Verb.TARGET, Verb.TENSION):
-                figures = {"target_n": self._law.target_n}
-            elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
-                figures = self._found
-            self._reply(t_ns, given.id, given.refusal, checks, figures)
+            self._reply_to(t_ns, given if self._machine.fault is Fault.NONE else self._tripped(given))
+
+    def _tripped(self, given: Answer) -> Answer:
+        """A trip that no check names has ended the command: its cause is the answer."""
+        tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.verb)
+        return replace(given, refusal=Refusal.CAUSE_PRESENT) if tripped else given
+
+    def _reply_to(self, t_ns: int, given: Answer) -> None:
+        checks, figures = 0, {"tension_n": self._observer.tension_n}
+        if given.refusal is Refusal.PREFLIGHT:
+            failing = self._barring(given.verb)
+            checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
+        elif given.refusal is Refusal.BRAKE_SLIPPED:
+            figures = {"moved_mm": self._sequence.moved_mm}
+        elif given.refusal is Refusal.STOP_RUNNING:
+            figures = {"speed_mm_s": self._observer.inbox.speed_mm_s}
+        elif given.refusal is Refusal.CAUSE_PRESENT:
+            figures = {"cause": float(self._watch.present(self._observer.snapshot))}
+            checks = self._watch.blocking(self._observer.snapshot)
+        elif given.refusal is Refusal.DISAGREE:
+            figures = {"apart_mm": self._observer.snapshot.sink_apart_mm}
+        elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
+            figures = {"carried_s": max(0, self._machine.carry_until_ns - t_ns) * 1e-9}
+        elif given.refusal is Refusal.LOADED:
+            figures = {"reading_n": self._observer.inbox.reading_n}
+        elif given.verb is Verb.MOVE and self._learning is not None:
+            figures = {"taught": float(self._learning.taught)}
+        elif given.verb is Verb.CONFIRM_STROKE:
+            figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
+        elif given.verb in (Verb.TARGET, Verb.TENSION):
+            figures = {"target_n": self._law.target_n}
+        elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
+            figures = self._found
+        self._reply(t_ns, given.id, given.refusal, checks, figures)
 
     def correct(
         self, correction: Correction, t_ns: int, *, held_s: float = math.nan, history: CellHistory | None = None
@@ -193,98 +231,117 @@ class Orders:
         failing = safety.preflight(snapshot, self._settings, beyond, known, near_end=near_end)
         return failing | arming.awaited(snapshot, self._settings)
 
+    def _barring(self, verb: Verb | None = None) -> Check:
+        """Checks that fail now of those that the command under way must pass; ``verb``: of one already answered."""
+        if (verb or self._machine.pending) is Verb.ARM:
+            return self.failed_checks(near_end=self._near_end)
+        return self.failed_checks() & ~_AT_ARM_ONLY
+
     @property
     def _verified_at_start(self) -> bool:
         return self._supervised and not self._observer.inbox.restarted
 
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
-        machine = self._machine
-        if verb is Verb.RESET and machine.mode is Mode.DISARMED and self._arm is None:
+        machine, waiting = self._machine, self._waiting
+        if verb is Verb.RESET and machine.mode is Mode.DISARMED and waiting is None:
             self._readback.forget()  # ARM reads all of it again
             self._observer.look_at_settings()
-        if verb is Verb.ARM and self._arm is None and machine.mode is Mode.DISARMED and not machine.arming:
-            judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
-            others = self.failed_checks(near_end=values["near_end"] == 1.0) & ~judged_later
-            if self._readback.size and self._verified_at_start and not others and not machine.stopping:
-                machine.end_trial(Refusal.ABORTED)
-                self.trial = None
-                self._arm = id_, values, t_ns
-                self._readback.begin_all(t_ns)
+        if waiting is not None:
+            if verb is waiting.verb:
+                self._reply(t_ns, id_, Refusal.ALREADY)
                 return
-        elif verb is Verb.ARM and self._arm is not None:
-            self._reply(t_ns, id_, Refusal.ALREADY)
-            return
-        elif self._arm is not None and verb in modes.TRIED_IN:
-            self._reply(t_ns, id_, Refusal.WRONG_MODE)
-            return
-        elif self._arm is not None and verb in (Verb.DISARM, Verb.HOLD):
-            self._reply(t_ns, self._arm[0], Refusal.ABORTED)
-            self._reply(t_ns, id_, Refusal.NONE)
-            self._arm = None
-            self._readback.give_up()
+            if waiting.verb is Verb.ARM and verb in modes.TRIED_IN:
+                self._reply(t_ns, id_, Refusal.WRONG_MODE)
+                return
+            if verb in (Verb.DISARM, Verb.HOLD, *modes.NEEDS_MOTOR):
+                self._reply(t_ns, waiting.id, Refusal.ABORTED)
+                self._waiting = None
+                self._readback.give_up()
+                if machine.mode is Mode.DISARMED:
+                    self._reply(t_ns, id_, Refusal.NONE)
+                    return
+        elif self._reads_first(verb, values, t_ns):
+            machine.end_trial(Refusal.ABORTED)
+            self.trial = None
+            self._waiting = _Waiting(id_, verb, values, t_ns, machine.mode)
+            self._readback.begin_all(t_ns)
             return
         self._carry_out(id_, verb, values, t_ns)
 
-    def _go_on_arming(self, waiting: tuple[int, _Values, int], t_ns: int) -> None:
-        """Arm once everything is read back, or refuse; the other checks are evaluated again."""
-        id_, values, since_ns = waiting
+    def _reads_first(self, verb: Verb, values: _Values, t_ns: int) -> bool:
+        """Every supervised object is read before this command, unless it is refused already."""
+        machine = self._machine
+        if not self._readback.size or not self._verified_at_start or machine.stopping or machine.pending:
+            return False
+        if verb is Verb.ARM:
+            judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
+            return machine.mode is Mode.DISARMED and not (
+                self.failed_checks(near_end=values["near_end"] == 1.0) & ~judged_later
+            )
+        if verb not in modes.NEEDS_MOTOR or machine.mode is not Mode.HOLD or self._parked_ns is None:
+            return False
+        refused = modes.decide(machine.mode, verb, self._situation(verb, values)).refusal
+        return refused is Refusal.NONE and (self._recheck or t_ns - self._parked_ns >= RECHECK_NS)
+
+    def _go_on_waiting(self, waiting: _Waiting, t_ns: int) -> None:
+        """Carry the command out once everything is read back, or refuse; the other checks are evaluated again."""
         verdict = self._readback.verdict(t_ns)
-        if verdict is None and self._machine.mode is Mode.DISARMED and not self._machine.stopping:
+        if verdict is None and self._machine.mode is waiting.mode and not self._machine.stopping:
             return
-        self._arm = None
+        self._waiting = None
         self._readback.give_up()
         if verdict:
-            self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - since_ns) * 1e-9)
-        self._carry_out(id_, Verb.ARM, values, t_ns)
+            self._recheck = False
+            self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
+        self._carry_out(waiting.id, waiting.verb, waiting.values, t_ns)
 
-    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
+    def _situation(self, verb: Verb, values: _Values) -> Situation:
         machine, observer, settings = self._machine, self._observer, self._settings
-        if verb is Verb.ARM and not machine.arming:
-            self._near_end = values["near_end"] == 1.0
+        snapshot = observer.snapshot
         near_end = verb is Verb.ARM and self._near_end
         failing = self.failed_checks(near_end=near_end)
-        stops = machine.action >= Action.QUICK_STOP or observer.snapshot.drive_faulted
-        situation = Situation(
+        stops = machine.action >= Action.QUICK_STOP or snapshot.drive_faulted
+        return Situation(
             failed_checks=int(failing & ~arming.AWAITED_CHECKS),
-            stop_running=stops and arming.stop_running(observer.snapshot, settings),
+            stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot, settings),
             fault_latched=machine.fault is not Fault.NONE,
             wanted_n=values.get("target_n", 0.0),
             measured_mm=values.get("stroke_mm", 0.0),
             needs_tight=bool(values.get("tight", 0.0)),
             regulated=values.get("regulated", math.nan),
+            carry_s=values.get("carry_s", math.nan),
             move=values.get("move", 0.0),
             moves=0 if settings.learning is None else settings.learning.moves,
-            stroke_mm=observer.snapshot.stroke_mm if observer.snapshot.drive_age_ns <= self._stale_ns else math.nan,
-            cause_present=self._watch.present(observer.snapshot) is not Fault.NONE,
-            drive_enabled=observer.snapshot.drive_enabled and machine.drive_wanted,
-            drive_faulted=observer.snapshot.drive_faulted,
+            stroke_mm=snapshot.stroke_mm if snapshot.drive_age_ns <= self._stale_ns else math.nan,
+            cause_present=self._watch.present(snapshot) is not Fault.NONE,
+            armed=machine.armed,
+            carried=machine.carry_until_ns > 0,
+            disagree=snapshot.sink_apart_mm > 0.0,
+            drive_faulted=snapshot.drive_faulted,
             slack=observer.slack,
             unloaded=abs(observer.inbox.reading_n) <= tare_limit_n(settings),
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
         )
-        fault, was_arming = machine.fault, machine.arming
+
+    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
+        machine, observer = self._machine, self._observer
+        if verb is Verb.ARM and not machine.pending:
+            self._near_end = values["near_end"] == 1.0
+        situation = self._situation(verb, values)
+        fault, was_pending = machine.fault, machine.pending
         done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
-        if machine.arming and not was_arming:  # while armed, the checks shown are those of the moment of arming
-            self.shown_checks = situation.failed_checks
+        if machine.pending is verb and was_pending is not verb:
+            if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
+                self.shown_checks = situation.failed_checks
             machine.awaiting = True
-            self._sequence.begin(t_ns)
-        self.trial = None
+            self._sequence.begin(t_ns, arming=verb is Verb.ARM, at_rest=machine.mode is not Mode.FAULT)
+        self.trial, self.powered_until_ns = None, 0
+        self._values = values
         if machine.trial is not None:
-            held, regulated = machine.mode is Mode.HOLD, machine.mode is Mode.COMPENSATING
-            self.trial = trials.begin(
-                machine.trial,
-                settings,
-                observer.inbox,
-                creep_s=values.get("creep_s", math.nan),
-                tight_ns=observer.tight_ns if held else None,
-                regulated=regulated,
-            )
+            self._begin_trial(machine.trial, t_ns)
         if fault is not machine.fault:
-            snapshot = observer.snapshot
-            slides = snapshot.off_ns >= arming.REACTION_NS and snapshot.still_ns < arming.STILL_NS  # on a closed brake
-            if slides or fault in (Fault.STROKE_MOVES, Fault.BRAKE_SLIPS):
-                observer.acknowledge_slip()
+            self._recheck = True
             self._logbook.event(t_ns, Kind.RESET, fault)
         if verb is Verb.TARGET and done:
             self._law.target_n = values["target_n"]
@@ -295,6 +352,20 @@ class Orders:
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
 
+    def _begin_trial(self, verb: Verb, t_ns: int) -> None:
+        """Begin a trial; one that moves the stroke has the motor hold for as long as it states."""
+        machine, observer = self._machine, self._observer
+        held, regulated = machine.mode is Mode.HOLD, machine.mode is Mode.COMPENSATING
+        self.trial = trials.begin(
+            verb,
+            self._settings,
+            observer.inbox,
+            creep_s=self._values.get("creep_s", math.nan),
+            tight_ns=observer.tight_ns if held else None,
+            regulated=regulated,
+        )
+        self.powered_until_ns = t_ns + round(self.trial.power_s * 1e9) if self.trial.power_s else 0
+
     def _set(self, id_: int, setting: Setting, values: _Values, t_ns: int) -> None:
         """Put a setting in force, within its bounds, and reply."""
         match setting:
@@ -304,7 +375,12 @@ class Orders:
             case Setting.HOST_CHECKS:
                 refusal = self._set_host_checks(values["host_checks"])
             case Setting.MARGINS:
-                refusal = self._set_margins(values["sensitivity_peak"], values["sensitivity_peak_error"])
+                refusal = self._set_margins(t_ns, values["sensitivity_peak"], values["sensitivity_peak_error"])
+            case Setting.DIFFERS:
+                self._logbook.event(
+                    t_ns, Kind.MARGINS_DIFFER, value=values["sensitivity_peak"], limit=values["sensitivity_peak_error"]
+                )
+                refusal = Refusal.NONE
             case Setting.LAW_GAINS:
                 refusal = self._set_gains(Gains(**values), t_ns)
             case Setting.CREEP:
@@ -365,13 +441,20 @@ class Orders:
         self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.host_checks
         return Refusal.NONE if known else Refusal.OUT_OF_RANGE
 
-    def _set_margins(self, ms: float, error: float) -> Refusal:
-        """Take the sensitivity peak measured in this COMPENSATING."""
+    def _set_margins(self, t_ns: int, ms: float, error: float) -> Refusal:
+        """Take the sensitivity peak measured in this COMPENSATING; NaN: there is none, ``error`` says why."""
         if self._machine.mode is not Mode.COMPENSATING:
             return Refusal.WRONG_MODE
+        if math.isnan(ms) and error in list(Unmeasured):
+            if error != self._unmeasured:
+                self._logbook.event(t_ns, Kind.NO_MARGINS, int(error))
+            self._unmeasured = error
+            self._observer.sensitivity_peak = self._observer.sensitivity_peak_error = math.nan
+            return Refusal.NONE
         if not (1.0 <= ms <= MS_MOST and 0.0 <= error <= MS_MOST):
             return Refusal.OUT_OF_RANGE
         self._observer.sensitivity_peak, self._observer.sensitivity_peak_error = ms, error
+        self._unmeasured = math.nan
         return Refusal.NONE
 
     def _set_gains(self, gains: Gains, t_ns: int) -> Refusal:
@@ -386,4 +469,12 @@ class Orders:
     def _reply(
         self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, figures: Mapping[str, float] = _NO_FIGURES
     ) -> None:
-        self._logbook.reply(t_ns, id_, refusal, checks, self._machine.mode, figures)
+        machine, observer = self._machine, self._observer
+        self._logbook.reply(t_ns, id_, refusal, checks, machine.mode, figures)
+        if id_ & HOLD_ID:
+            stroke_mm, tension_n = observer.inbox.stroke_mm, observer.inbox.tension_n
+            done = refusal is Refusal.NONE
+            self._holds.answer(
+                id_ ^ HOLD_ID,
+                HoldAnswer(t_ns, done, refusal, checks, machine.fault, stroke_mm, tension_n, machine.mode.name),
+            )

@@ -8,6 +8,8 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.cell_step import CellStep
+from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 
@@ -17,8 +19,35 @@ STRETCH_MEMORY_S = 2.0
 UNREST_S = 0.1
 LARGEST_STEP_NOISES = 150.0  # and 1 mm of stretch; a larger step counts as this sum
 RATE_S = 0.005
-_AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
+_MOVING = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 LATCH_TICKS = 1  # a value latched by the drive in one tick is read in the next
+
+
+class DriveModel:
+    """The stroke that the drive's lag and delay make of the commands sent; ``speed_mm_s``: its speed now."""
+
+    def __init__(self, settings: RigSettings) -> None:
+        plant = settings.plant
+        self._dt = dt = 1.0 / settings.loop.rate_hz
+        self._share = 1.0 - math.exp(-dt / plant.cylinder_lag_s)
+        self._sent = [0.0] * (round(plant.command_delay_s / dt) + LATCH_TICKS)
+        self._at = 0
+        self.speed_mm_s = 0.0
+
+    def advance(self, command_mm_s: float, ticks: int) -> float:
+        """``ticks`` under the command sent in the last one; returns the way in mm."""
+        sent, travel_mm = self._sent, 0.0
+        delays = min(ticks, len(sent))
+        for _ in range(delays):
+            delayed, sent[self._at] = sent[self._at], command_mm_s
+            self._at = (self._at + 1) % len(sent)
+            self.speed_mm_s += (delayed - self.speed_mm_s) * self._share
+            travel_mm += self.speed_mm_s * self._dt
+        if rest := ticks - delays:  # all under the last command, in one step however long the loop was stopped
+            left_mm_s, keep = self.speed_mm_s - command_mm_s, (1.0 - self._share) ** rest
+            self.speed_mm_s = command_mm_s + left_mm_s * keep
+            travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
+        return travel_mm
 
 
 class Plausibility:
@@ -35,10 +64,7 @@ class Plausibility:
         plant = settings.plant
         self._dt = dt = 1.0 / settings.loop.rate_hz
         self._stiffness = plant.stiffness_n_mm
-        self._share = 1.0 - math.exp(-dt / plant.cylinder_lag_s)
-        self._sent = [0.0] * (round(plant.command_delay_s / dt) + LATCH_TICKS)
-        self._at = 0
-        self._model_mm_s = 0.0
+        self._drive = DriveModel(settings)
         self._stroke_keep = math.exp(-dt / STROKE_MEMORY_S)
         self._contradiction_keep = math.exp(-dt / CONTRADICTION_MEMORY_S)
         self._stretch_keep = math.exp(-dt / STRETCH_MEMORY_S)
@@ -50,7 +76,7 @@ class Plausibility:
             self._yield_share = 1.0 - math.exp(-dt * math.sqrt(1e3 * plant.mechanism_n_mm / plant.payload_kg))
         self._yielded_mm = math.nan
         self._unrest_share = dt / UNREST_S
-        self._mode = Mode.DISARMED
+        self._step, self._unmeasured = CellStep(settings), 0  # ticks since the cell's newest sample
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
         self.speed_error_mm_s = self.stroke_error_mm = self.contradiction_mm = self.unexplained_mm = 0.0
         self.cell_repeats, self.cell_unrest_n, self.tension_rate_n_s = 0, 0.0, 0.0
@@ -60,16 +86,12 @@ class Plausibility:
     ) -> None:
         """One tick, ``ticks`` after the last; ``command_mm_s`` was sent in the last one, ``mode`` is the mode after it.
 
-        Stretch tolerated in motion is cleared once the stroke is held, even after an exception in the loop: the limit
-        at rest is far lower. A reset acknowledges the stretch from before it.
+        Of a held stroke the stretch is latched instead (`rigctl.control.held_tension`).
         """
-        if mode is not self._mode:
-            if mode in _AT_REST or self._mode is Mode.FAULT:
-                self.unexplained_mm = 0.0
-            self._mode = mode
+        self._unmeasured += ticks
         if inbox.cell_fresh:
-            self._look_at_cell(inbox)
-        self._modelled_mm += self._model(command_mm_s, ticks)
+            self._look_at_cell(inbox, slack)
+        self._modelled_mm += self._drive.advance(command_mm_s, ticks)
         self._unheard += ticks
         moved_mm = said_mm = modelled_mm = 0.0
         if inbox.drive_fresh:
@@ -79,30 +101,25 @@ class Plausibility:
                 modelled_mm = self._modelled_mm
             self._stroke_mm, self._unheard, self._modelled_mm = inbox.stroke_mm, 0, 0.0
         if drive_enabled:
-            self.speed_error_mm_s = abs(inbox.speed_mm_s - self._model_mm_s)
+            self.speed_error_mm_s = abs(inbox.speed_mm_s - self._drive.speed_mm_s)
             self.stroke_error_mm = self._stroke_keep * self.stroke_error_mm + moved_mm - modelled_mm
         else:
-            self._model_mm_s = inbox.speed_mm_s
+            self._drive.speed_mm_s = inbox.speed_mm_s
             self.speed_error_mm_s = self.stroke_error_mm = 0.0
-        self.contradiction_mm = self._contradiction_keep * self.contradiction_mm + moved_mm - said_mm
-        self._look_at_stretch(inbox, drive_enabled, moved_mm, slack)
+        # A jump while the drive is off is the stroke's own fault; its trace must not trip the arming that follows.
+        jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM
+        apart_mm = 0.0 if jumped else moved_mm - said_mm
+        self.contradiction_mm = self._contradiction_keep * self.contradiction_mm + apart_mm
+        self._look_at_stretch(inbox, drive_enabled and mode in _MOVING, moved_mm, slack)
 
-    def _model(self, command_mm_s: float, ticks: int) -> float:
-        """Advance the modelled drive; returns its distance in mm."""
-        sent, travel_mm = self._sent, 0.0
-        delays = min(ticks, len(sent))
-        for _ in range(delays):
-            delayed, sent[self._at] = sent[self._at], command_mm_s
-            self._at = (self._at + 1) % len(sent)
-            self._model_mm_s += (delayed - self._model_mm_s) * self._share
-            travel_mm += self._model_mm_s * self._dt
-        if rest := ticks - delays:  # all under the last command, in one step however long the loop was stopped
-            left_mm_s, keep = self._model_mm_s - command_mm_s, (1.0 - self._share) ** rest
-            self._model_mm_s = command_mm_s + left_mm_s * keep
-            travel_mm += (rest * command_mm_s + left_mm_s * (1.0 - keep) * (1.0 - self._share) / self._share) * self._dt
-        return travel_mm
+    @property
+    def cell_step_n(self) -> float:
+        """A step of the tension that has just stayed."""
+        return self._step.step_n
 
-    def _look_at_cell(self, inbox: Inbox) -> None:
+    def _look_at_cell(self, inbox: Inbox, slack: bool) -> None:
+        self._step.look(inbox.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
+        self._unmeasured = 0
         step_n = abs(inbox.reading_n - self._repeated_n)
         self.cell_repeats = self.cell_repeats + 1 if step_n == 0.0 else 0
         self._repeated_n = inbox.reading_n
@@ -113,8 +130,8 @@ class Plausibility:
         self.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
         self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
-    def _look_at_stretch(self, inbox: Inbox, drive_enabled: bool, moved_mm: float, slack: bool) -> None:
-        if not drive_enabled or not math.isfinite(self._tension_n):
+    def _look_at_stretch(self, inbox: Inbox, moving: bool, moved_mm: float, slack: bool) -> None:
+        if not moving or not math.isfinite(self._tension_n):
             self.unexplained_mm, self._yielded_mm = 0.0, math.nan
         else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
             gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0

@@ -44,6 +44,7 @@ class Readback:
     def __init__(self, table: Sequence[Watched], settings: RigSettings, started_ns: int) -> None:
         """``table``: from start-up, the most important first. ``started_ns``: when the loop began."""
         self._foreign_ns = started_ns + FOREIGN_AFTER_NS
+        self._drive_node = settings.cylinder.node
         self._table = tuple(table)
         self._every, self._left = sdo.every_ticks(settings), 0
         self._place = 0  # index of the next object
@@ -70,6 +71,13 @@ class Readback:
     def disobeys(self) -> bool:
         """A setting is lost without which the drive does not do as commanded."""
         return bool(self.lost) and any(item.obeys and lost.found is not None for item, lost in self.lost.items())
+
+    @property
+    def drive_changed(self) -> int:
+        """Objects of the drive that were found with another value: it may not stop by itself any more."""
+        if not self.lost:
+            return 0
+        return sum(item.node == self._drive_node and lost.found is not None for item, lost in self.lost.items())
 
     @property
     def worst(self) -> str:
@@ -142,6 +150,10 @@ class Readback:
         self.read += 1
         self._done()
         return True
+
+    def wrote(self, node: int, where: tuple[int, int]) -> None:
+        """Expect the answer to a write of ours; nothing is read after it."""
+        self._under_way, self._recent[node] = None, (where, where)
 
     def forget(self) -> None:
         """Acknowledge lost settings; ARM reads every object again."""

@@ -14,8 +14,18 @@ from operator import gt, lt
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.cell_step import PAYLOAD_MM_S
 from rigctl.control.checks import Check
 from rigctl.control.faults import Fault
+from rigctl.control.held_tension import (
+    FALLEN_NS,
+    GROWS_MM,
+    GROWS_NS,
+    SINKS_NS,
+    STRETCH_NS,
+    fall_limit_n,
+    stretch_limit_mm,
+)
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
@@ -29,9 +39,10 @@ class Action(IntEnum):
 
     LOG = 0  # write an event
     RAMP_DOWN = 1  # lower the tension on its ramp until the rope is slack, then hold
-    HOLD = 2  # hold the stroke under power
+    HOLD = 2  # stop the stroke under power; at standstill the brake takes the load
     QUICK_STOP = 3  # the drive stops on its own ramp, then power off with the brake closed
     POWER_OFF = 4  # the same, but power is cut and the brake closes even if the drive has not stopped in its time
+    SILENCE = 5  # NMT stop, then neither command nor heartbeat: the drive stops by its own supervision
 
 
 class Bars(Enum):
@@ -82,8 +93,9 @@ _MOVING = _CLOSED | {Mode.RELEASING}
 _REGULATED = frozenset({Mode.COMPENSATING})
 _OFF = frozenset({Mode.DISARMED})
 _AT_REST = frozenset({Mode.HOLD, Mode.FAULT})
-_UNASKED = _OFF | {Mode.FAULT}
+_UNASKED = _OFF | {Mode.HOLD, Mode.FAULT}
 _HELD = _AT_REST | _OFF
+_UNMOVED = _OFF | {Mode.HOLD}
 _EVERY = frozenset(Mode)
 _OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
@@ -94,6 +106,7 @@ DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take th
 INTERNAL_LIMIT_NS = 100 * _MS  # five lags of the drive: it may reach its current limit while it accelerates
 LINGER_NS = 1_000 * _MS  # a drive that goes off needs less for its ramp and brake
 HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as for STATUS_PERIODS: no burst takes five in a row
+ENABLE_NS = 500 * _MS  # for the relay of the drive's enable, its feedback and the node's inhibit time
 STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag 50 % above the plant's makes an error of 1.5 mm/s at 10 mm/s
 STROKE_ERROR_MM = 0.5
@@ -102,16 +115,17 @@ SLOPE_REJECTS = 50  # half a second of an inclinometer at 100 Hz; the filter ext
 # A payload that heaves by 10 mm in 10 s makes 8 mm, a mechanism of 6 N/mm tensioned at 10 mm/s makes 10 mm.
 UNEXPLAINED_MM = 12.0
 UNEXPLAINED_NS = 15 * _MS  # a single bad sample may show any stretch
-AT_REST_MM, AT_REST_NS = 1.6, 15 * _MS  # in HOLD and FAULT: the rail's run-out makes 1.5 mm
-PAYLOAD_MM_S = 80.0  # faster than any payload; a jolt of 1 mm in 20 ms makes 50
+UNSEEN_NS = 25 * _MS  # a jump of the cell is INNOVATION first, after 20 samples
 UNREST_NOISES = 30.0
 UNREST_NS = 5 * _MS
 NEGATIVE_NS = 10 * _MS
 # A held stroke must stay within 1 mm. At 0.5 mm/s, the slowest creep that reaches this row, the stroke moves another
 # 0.1 mm until the drive has stopped and the brake has closed. Faster creep trips DRIVE_NOT_FOLLOWING at 0.5 mm.
 NOT_HELD_MM, NOT_HELD_NS = 0.9, 2 * _MS
-DOUBT_MM = 0.5
+CORRECTED_MM = 0.8  # as far as a wrong position may take the load, unseen by a cell that has stopped measuring
 BRAKE_SLIP_MM_S, BRAKE_SLIP_NS = 0.2, 200 * _MS  # a stop under way is shorter
+SINK_MM_S, SINK_NS = 0.02, 1_000 * _MS  # five times what an encoder at rest shows over 5 s
+UNHEARD_NS = 1_000 * _MS  # for the drive of a load on the brake: a device that starts again takes less
 WARMTH_MS = 60_000
 DISAGREE_NS = 100 * _MS  # of a difference that is low-passed by a second
 STATUS_PERIODS = 5  # status frames lost in a row: at 10 % loss once in 10^5 frames, or 1.4 h at 20 Hz
@@ -126,7 +140,7 @@ _LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
 _LIMITS = "a limit of its own is active (statusword bit 11)"
 _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
 _ELSEWHERE = "the drive has been enabled by somebody else"
-_LINGERS = "the drive stays enabled though it is told to go off"
+_LINGERS = "the drive does not show that it has gone off though it is commanded to"
 SPEED, POSITION = "speed", "position"  # by which the drive misses its command
 _POWERED = "the stroke moves under power"
 _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
@@ -135,6 +149,10 @@ _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 def _highest_n(snapshot: Snapshot) -> float:
     """The larger of tension and raw reading: a correction of the cell may bring this trip forward, never delay it."""
     return max(snapshot.tension_n, snapshot.reading_n)
+
+
+def _probe_words(snapshot: Snapshot) -> str:
+    return snapshot.probe_words
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -148,16 +166,24 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         settings.plant.stiffness_n_mm * PAYLOAD_MM_S / settings.loop.rate_hz,
     )
     negative_n = settings.tension.slack_n + tare_limit_n(settings)
+    fall_n = fall_limit_n(settings)
     lost = Action.POWER_OFF  # a drive that does not obey cannot hold, so its power is cut
     return (
         Row(Fault.E_STOP, FieldValue("e_stop"), 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, FieldValue("bus_age_ns"), s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
         Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.rival_words),
         Row(Fault.SUPERVISION_LOST, FieldValue("settings_lost"), 0, 0, _ARMED, "", words=lambda x: x.settings_words),
+        Row(Fault.SUPERVISION_LOST, FieldValue("unsupervised"), 0, 0, _ARMED, "drive", Action.QUICK_STOP,
+            words=lambda x: x.settings_words),
         Row(Fault.SUPERVISION_LOST, FieldValue("disobeys"), 0, 0, _ARMED, "commands", lost,
             words=lambda x: x.settings_words),
         Row(Fault.STROKE_JUMPED, FieldValue("stroke_jump_mm"), TOLERANCE_MM, 0, _ARMED, "mm", lost),
+        Row(Fault.SYNC_LOST, FieldValue("sync_age_ns"), stale, 0, _ARMED, "ns"),
         Row(Fault.DRIVE_STALE, FieldValue("drive_age_ns"), stale, 0, _ARMED, "ns"),
+        Row(Fault.SYNC_LOST, _of_load(settings, "sync_age_ns"), stale, UNHEARD_NS, _OFF, "ns",
+            text="of a load"),
+        Row(Fault.DRIVE_STALE, _of_load(settings, "drive_age_ns"), stale, UNHEARD_NS, _OFF, "ns",
+            text="of a load"),
         Row(Fault.CELL_STALE, FieldValue("cell_age_ns"), stale, 0, _ARMED, "ns"),
         Row(Fault.INCLINATION_STALE, FieldValue("inclination_age_ns"), slope, 0, _ARMED, "ns"),
         *_io_rows(settings),
@@ -171,7 +197,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_UNASKED, FieldValue("drive_unasked"), 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
         Row(Fault.DRIVE_UNASKED, FieldValue("drive_lingers"), 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
             bars=Bars.LASTING),
-        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost, _POWERED,
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),
         Row(Fault.SIGN_DRIVE, FieldValue("drive_reversed"), 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, ""),
@@ -190,13 +216,31 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_NOT_FOLLOWING, _size("stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost, POSITION),
         Row(Fault.DRIVE_CONTRADICTS, _size("contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
         Row(Fault.STROKE_NOT_HELD, _size("excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
-        Row(Fault.POSITION_DRIFTS, _size("doubt_mm"), DOUBT_MM, 0, _AT_REST, "mm", lost),
-        Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _OFF, "mm/s", lost),
+        Row(Fault.POSITION_DRIFTS, _size("corrected_mm"), CORRECTED_MM, 0, _AT_REST, "mm", lost),
+        Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _HELD, "mm/s", lost,
+            words=_slack_words, bars=Bars.NEVER),
+        Row(Fault.STROKE_MOVES, _sinks_mm_s, SINK_MM_S, SINK_NS, _HELD, "mm/s slowly", lost, words=_slack_words),
         Row(Fault.INNOVATION, FieldValue("rejects"), settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.INNOVATION, FieldValue("slope_rejects"), SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
+        Row(Fault.INNOVATION, FieldValue("cell_step_n"), 0, 0, _MOVING, "N at once"),
+        Row(Fault.CELL_FROZEN, FieldValue("cell_frozen"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.ENCODER_STUCK, FieldValue("encoder_stuck"), 0, 0, _REGULATED, "", Action.QUICK_STOP,
+            words=_probe_words),
+        Row(Fault.DRIVE_MOTIONLESS, FieldValue("drive_motionless"), 0, 0, _REGULATED, "", lost, words=_probe_words),
+        Row(Fault.ROPE_CHANGED, FieldValue("rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.LOAD_UNSEEN, FieldValue("unseen_excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
+            words=lambda x: f"{x.unseen_n:.1f} N (limit {x.unseen_bound_n:.1f} N)"),
+        Row(Fault.LOAD_UNSEEN, FieldValue("taken_up_excess_n"), 0, 0, _TENSIONING, "N by current",
+            words=lambda x: f"{x.taken_up_n:.1f} N by the motor's current on a slack rope (limit "
+            f"{x.taken_up_limit_n:.1f} N)"),
         Row(Fault.STRETCH_UNEXPLAINED, _size("unexplained_mm"), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),
-        Row(Fault.STRETCH_UNEXPLAINED, _size("unexplained_mm"), AT_REST_MM, AT_REST_NS, _AT_REST, "mm at rest",
-            lost),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("stretched_mm"), stretch_limit_mm(settings), STRETCH_NS, _AT_REST,
+            "mm at rest", lost),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("growing_mm"), stretch_limit_mm(settings, GROWS_MM), GROWS_NS, _AT_REST,
+            "mm growing", lost),
+        Row(Fault.LOAD_SINKS, FieldValue("sinks_n"), fall_n, SINKS_NS, _HELD, "N", text="is falling"),
+        Row(Fault.LOAD_SINKS, FieldValue("fallen_n"), fall_n, FALLEN_NS, _HELD, "N", text="has fallen",
+            bars=Bars.NEVER),
         Row(Fault.STROKE_END, FieldValue("stroke_limited"), 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, FieldValue("device_restarted"), 0, 0, _ARMED, ""),
         *_node_rows(settings),
@@ -212,7 +256,10 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
     """The I/O node's E-stop input has its own row: the drive's input may not be fitted and cannot replace it."""
     if settings.io is None:
         return ()
-    return (Row(Fault.E_STOP_UNSEEN, FieldValue("io_age_ns"), settings.io.stale_ms * _MS, 0, _ARMED, "ns"),)
+    unseen = Row(Fault.E_STOP_UNSEEN, FieldValue("io_age_ns"), settings.io.stale_ms * _MS, 0, _ARMED, "ns")
+    if not settings.io.enable_block:
+        return (unseen,)
+    return unseen, Row(Fault.ENABLE_IGNORED, FieldValue("enable_ignored"), 0, ENABLE_NS, _ARMED, "")
 
 
 def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
@@ -296,6 +343,12 @@ def _node_rows(settings: RigSettings) -> tuple[Row, ...]:
     return tuple(rows)
 
 
+def _of_load(settings: RigSettings, age: str) -> Callable[[Snapshot], float]:
+    """An age in ns while a load may be on the rope; a tension that is not known is one."""
+    slack_n = settings.tension.slack_n
+    return lambda x: 0.0 if x.tension_n < slack_n else getattr(x, age)
+
+
 def _size(field: str) -> FieldValue:
     return FieldValue(field, magnitude=True)
 
@@ -314,7 +367,20 @@ def _wrong_state(node: int) -> Callable[[Snapshot], float]:
 
 def _unbraked_mm_s(snapshot: Snapshot) -> float:
     unpowered = snapshot.drive_off or snapshot.drive_faulted
-    return abs(snapshot.speed_mm_s) if unpowered and not snapshot.brake_slip_known else 0.0
+    return abs(snapshot.speed_mm_s) if unpowered else 0.0
+
+
+def _sinks_mm_s(snapshot: Snapshot) -> float:
+    """Of a load on the closed brake; a stroke that moves under a slack rope moves no load."""
+    return abs(snapshot.sink_mm_s) if snapshot.sink_left_mm else 0.0
+
+
+def _slack_words(snapshot: Snapshot) -> str:
+    """When a load that sinks will have left the rope slack."""
+    sinks_mm_s = -snapshot.sink_mm_s if abs(snapshot.speed_mm_s) <= BRAKE_SLIP_MM_S else -snapshot.speed_mm_s
+    if sinks_mm_s <= 0.0 or not snapshot.sink_left_mm:
+        return ""
+    return f", the rope is slack in about {snapshot.sink_left_mm / sinks_mm_s:.0f} s"
 
 
 def _powered_mm_s(snapshot: Snapshot) -> float:
@@ -527,6 +593,7 @@ def preflight(
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
+        Check.ENABLE_IGNORED: Fault.ENABLE_IGNORED in beyond,
         Check.CELL_ZERO: abs(snapshot.zero_found_n) > _zero_limit_n(settings),
         Check.SECOND_FORCE: _second_lost(snapshot, settings),
         Check.FORCES_DISAGREE: Fault.FORCES_DISAGREE in beyond,

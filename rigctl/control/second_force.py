@@ -13,12 +13,16 @@ from __future__ import annotations
 import math
 
 from rigctl.config.second_force_section import SecondForceSettings
+from rigctl.devices.objects import MM_PER_POSITION_UNIT
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.record import Quality
 
 _NS = 1e-9
 _INVALID = Quality.INVALID.value
 COMPARED_S = 1.0  # low-pass of the difference
+QUICK_SIGMA = 5.0  # of the two noises: a larger quick difference is none of them, and counts for no more
+ROUNDED = 1.0 / math.sqrt(12.0)  # standard deviation of a rounded value over its unit
+POSITION_MM = MM_PER_POSITION_UNIT * ROUNDED
 STRETCH_MM_S = 1.0  # a faster stroke is not used for a stretch: the encoders' samples are up to a millisecond apart
 
 
@@ -29,7 +33,8 @@ class SecondForce:
     tension. ``gap_n``: low-passed difference of the two tensions. ``quality``: of the newest sample, 0 good.
     """
 
-    def __init__(self, section: SecondForceSettings) -> None:
+    def __init__(self, section: SecondForceSettings, cell_noise_n: float, period_s: float) -> None:
+        """``cell_noise_n``, ``period_s``: rms noise of the cell and period of the loop, for ``quick_hz``."""
         self.node = section.node
         self._stretches = section.kind == "stretch"
         self._weight, self._fuse_s = section.weight, section.fuse_s
@@ -40,6 +45,13 @@ class SecondForce:
         self._zero_n, self.known = section.zero_n or 0.0, section.zero_n is not None
         self._sample = math.nan
         self._leaving = False
+        self._quick = section.quick_hz is not None
+        own_n = self._n_mm * math.hypot(section.noise_um * 1e-3, ROUNDED / section.counts_per_mm, POSITION_MM)
+        self._quick_weight = cell_noise_n**2 / (cell_noise_n**2 + own_n**2) if self._quick else 0.0
+        self._quick_share = -math.expm1(-2.0 * math.pi * (section.quick_hz or 0.0) * period_s)
+        self._quick_most_n = QUICK_SIGMA * math.hypot(cell_noise_n, own_n) if self._quick else 0.0
+        self._low_n = math.nan  # low-passed difference
+        self.quick_n = 0.0
         self.reading_n = self.tension_n = math.nan
         self.offset_n = self.gap_n = 0.0
         self.quality = 0
@@ -65,14 +77,16 @@ class SecondForce:
 
     def look(self, cell_n: float, stroke_mm: float, speed_mm_s: float, now_ns: int) -> None:
         """Compare and fuse, once a tick; ``cell_n``: the cell's own tension."""
+        self.quick_n = 0.0
         if not self.fresh:
+            self._low_n = math.nan
             if now_ns - self.t_ns > self._stale_ns:
                 self._leave(now_ns)
             return
         self.fresh = False
         if not self._stretches:
             self.reading_n = self._sample
-        elif abs(speed_mm_s) <= STRETCH_MM_S:
+        elif self._quick or abs(speed_mm_s) <= STRETCH_MM_S:
             self.reading_n = (stroke_mm - self._sample) * self._n_mm
         else:
             self._compared_ns = now_ns
@@ -82,10 +96,20 @@ class SecondForce:
         if not math.isfinite(difference_n):
             self._leave(now_ns)
             return
+        if self._quick:
+            self._take_off_noise(difference_n)
         elapsed_s, self._leaving = self._elapsed_s(now_ns), False
         self.gap_n += (difference_n - self.gap_n) * -math.expm1(-elapsed_s / COMPARED_S)
         wanted_n = max(-self._largest_n, min(self._largest_n, self._weight * difference_n))
         self.offset_n += (wanted_n - self.offset_n) * -math.expm1(-elapsed_s / self._fuse_s)
+
+    def _take_off_noise(self, difference_n: float) -> None:
+        """What is quick in the difference is noise of both, and their weights share it."""
+        if math.isnan(self._low_n):
+            self._low_n = difference_n
+        self._low_n += (difference_n - self._low_n) * self._quick_share
+        most_n = self._quick_most_n
+        self.quick_n = self._quick_weight * max(-most_n, min(most_n, difference_n - self._low_n))
 
     def usable(self, now_ns: int) -> bool:
         """There is a good sample that is not stale."""

@@ -10,6 +10,8 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
+from rigctl.control.modes import HeldBy
+
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
 
 
@@ -44,7 +46,9 @@ class Snapshot:
     drive_off: bool = False  # no power, brake closed or closing
     off_ns: int = 0  # time since the drive began to report a state without power
     still_ns: int = 0  # time the stroke has stood still, see rigctl.control.arming
-    brake_slip_known: bool = False  # the slip is acknowledged: arming may put the load on the motor
+    sink_mm_s: float = 0.0  # of the stroke on the closed brake; these three: see rigctl.control.sinking
+    sink_apart_mm: float = 0.0
+    sink_left_mm: float = 0.0
     drive_faulted: bool = False
     drive_warning: bool = False
     drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus
@@ -52,7 +56,10 @@ class Snapshot:
     drive_ignores: bool = False  # enabled, but bit 12 is off: the drive does not follow the target velocity
     drive_powered: bool = False  # neither off nor in its fault state
     drive_unasked: bool = False  # enabled again after it was off, without our command
-    drive_lingers: bool = False  # still enabled although it is commanded to go off
+    drive_lingers: bool = False  # commanded to go off, and not seen off since
+    drive_may_be_on: bool = False  # commanded or seen on since it was last seen without power
+    drive_stops: bool = False  # in a state that ends without power by itself
+    unseen_mm: float = 0.0  # most the stroke may have moved since the drive's newest sample
     heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
     node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
     drive_temperature_c: float = math.nan
@@ -60,6 +67,8 @@ class Snapshot:
     e_stop: int = 0  # inputs that read as pressed, bits of EStop
     e_stop_unseen: bool = False  # the drive has the input, but its state is stale
     io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
+    torque_off: bool = False  # the drive's STO feedback at the I/O node shows it without torque, by a fresh input
+    enable_ignored: bool = False  # that feedback is not as the drive's hard-wired enable should have it
     status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
     zero_found_n: float = 0.0  # of the cell beside tare and drift, on the last slack rope
     warmth_age_ns: int = 1 << 62  # of the cell's temperature, where it comes from the cell
@@ -69,18 +78,22 @@ class Snapshot:
     second_known: bool = False  # its zero is on the ledger
     rail_age_ns: int = 1 << 62  # of the rail encoder's angle, where one is fitted
     bus_age_ns: int = 1 << 62
+    sync_age_ns: int = 0  # of the newest sample that SYNC latches, while the bus is alive
     error_frames: int = 0  # in the last second
     skipped_in_window: int = 0
     lateness_ns: int = 0
     command_age_ns: int = 0  # since an operator gave the last one
     stroke_limited: bool = False
     drive_wanted: bool = False
+    held_by: HeldBy = HeldBy.UNKNOWN  # as the tick before has left it
+    power_off: int = 0  # the same; see rigctl.control.power_off
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard
     rival_words: str = ""  # what that controller did
     stroke_unconfirmed: bool = False  # see rigctl.control.homed
     stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
+    unsupervised: int = 0  # objects of the drive that were found with another value
     settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
     disobeys: bool = False  # the drive cannot follow commands without one of them
     settings_words: str = ""  # the first of them, in words
@@ -97,11 +110,27 @@ class Snapshot:
     stroke_error_mm: float = 0.0
     contradiction_mm: float = 0.0
     unexplained_mm: float = 0.0
-    excursion_mm: float = 0.0  # with doubt_mm: see rigctl.control.stroke_hold
-    doubt_mm: float = 0.0
+    excursion_mm: float = 0.0  # with corrected_mm: see rigctl.control.stroke_hold
+    corrected_mm: float = 0.0
+    stretched_mm: float = 0.0  # these four: see rigctl.control.held_tension
+    growing_mm: float = 0.0
+    fallen_n: float = 0.0
+    sinks_n: float = 0.0
     cell_repeats: int = 0
     cell_unrest_n: float = 0.0
+    cell_step_n: float = 0.0  # see rigctl.control.cell_step
     tension_rate_n_s: float = 0.0
+    cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
+    encoder_stuck: bool = False
+    drive_motionless: bool = False
+    rope_changed: bool = False
+    probe_words: str = ""
+    unseen_n: float = 0.0  # these three: see rigctl.control.unseen_travel
+    unseen_bound_n: float = 0.0
+    unseen_excess_n: float = 0.0
+    taken_up_n: float = 0.0  # these three: see rigctl.control.take_up
+    taken_up_limit_n: float = 0.0
+    taken_up_excess_n: float = 0.0
     least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one
 
 

@@ -4,7 +4,9 @@ A drive that is commanded 0 mm/s may still creep. In HOLD and FAULT a position l
 
     u = -K_p e - I,    dI/dt = K_i e,    e = stroke - latched stroke, outside a dead zone
 
-while the safety table watches the distance from the latch (`rigctl.control.safety`, STROKE_NOT_HELD).
+while the safety table watches the distance from the latch (`rigctl.control.safety`, STROKE_NOT_HELD) and the sum of the
+correction (POSITION_DRIFTS). To a drive that creeps the sum is what it would have moved the load; to an encoder that
+drifts it is what the correction has moved it, and no cell that might have stopped measuring can deny that.
 """
 
 from __future__ import annotations
@@ -25,9 +27,6 @@ LAGS_PER_GAIN = 8.0  # 1/K_p in lags of the drive: a phase margin of 70 deg, or 
 INTEGRAL_SHARE = 0.2  # K_i / K_p^2: real poles at 0.28 and 0.72 K_p, no overshoot
 STOP_LAGS, SETTLE_LAGS = 3.0, 6.0  # distance of a stop in lags times its first speed; time to its end in lags
 REST_MM_S, SPARE_MM = 0.05, 0.05
-WINDOW_MM, WINDOWS = 0.3, 2  # load and speed are judged per window of correction; two in a row are no coincidence
-AGREES, AGREES_TOO_WELL = 0.4, 1.6  # share of the correction; a mechanism as soft as the spring leaves half
-TENSION_S = 0.1  # low-pass of the tension
 
 
 class StrokeHold:
@@ -35,15 +34,12 @@ class StrokeHold:
 
     ``error_mm``: stroke from the latch, 0 while nothing is latched. ``left``: this tick the stroke left the latch by
     `SAID_MM`; ``creeps``: the correction has now been needed for `CREEP_S`. Both are true once per excursion.
-    ``doubt_mm``: distance the correction moved the load by tension or by the drive's speed, while the position shows no
-    motion; then the position is wrong.
+    ``corrected_mm``: sum of the correction since the latch.
     """
 
     def __init__(self, settings: RigSettings) -> None:
         plant, tension = settings.plant, settings.tension
         self._dt = 1.0 / settings.loop.rate_hz
-        self._stiffness = plant.stiffness_n_mm
-        self._slack_n = tension.slack_n
         lag_s = plant.cylinder_lag_s + plant.command_delay_s + self._dt
         self._gain = 1.0 / (LAGS_PER_GAIN * lag_s)
         self._integral_gain = INTEGRAL_SHARE * self._gain**2
@@ -52,12 +48,7 @@ class StrokeHold:
         self._stop_s, self._settle_s = STOP_LAGS * lag_s, SETTLE_LAGS * lag_s
         self._deceleration = min(tension.acceleration_max_mm_s2, settings.cylinder.stop_deceleration_mm_s2)
         self._stale_ns = settings.safety.stale_ms * 1_000_000
-        self._share = min(1.0, self._dt / TENSION_S)
         self._forget()
-
-    def found_stiffness(self, n_mm: float) -> None:
-        """Take the rope's stiffness in N/mm as the sign check found it; the rig file's may be far from it."""
-        self._stiffness = n_mm
 
     def follow(self) -> None:
         """The stroke moves on purpose, or its motion is acknowledged: the next ``watch`` latches it anew."""
@@ -66,15 +57,12 @@ class StrokeHold:
 
     def _forget(self) -> None:
         self.reference_mm = math.nan
-        self.error_mm = self.doubt_mm = self.command_mm_s = 0.0
+        self.error_mm = self.corrected_mm = self.command_mm_s = 0.0
         self.left = self.creeps = False
         self._reported = self._creep_reported = self._doubted = False
         self._settles_ns: int | None = None
         self._low_mm = self._high_mm = math.nan
-        self._integral_mm_s = self._smooth_n = self._from_n = self._corrected_mm = self._said_mm = 0.0
-        self._from_mm = math.nan
-        self._windows, self._creeps_s = 0, 0.0
-        self._tight = False
+        self._integral_mm_s = self._creeps_s = 0.0
 
     def watch(self, t_ns: int, snapshot: Snapshot, command_mm_s: float) -> None:
         """One tick of a mode that keeps the stroke; ``command_mm_s`` is the last command.
@@ -124,7 +112,7 @@ class StrokeHold:
         self._creeps_s = self._creeps_s + passed_s if abs(self._integral_mm_s) > CREEP_MM_S else 0.0
         self.creeps = self._creeps_s > CREEP_S and not self._creep_reported
         self._creep_reported |= self.creeps
-        self._question(snapshot, passed_s)
+        self.corrected_mm += self.command_mm_s * passed_s
         return self.command_mm_s
 
     @property
@@ -144,30 +132,3 @@ class StrokeHold:
 
     def _way_mm(self, speed_mm_s: float) -> float:
         return speed_mm_s * self._stop_s + speed_mm_s**2 / (2.0 * self._deceleration)
-
-    # -- does the correction hold the load, or move it? ---------------------------------------------------------
-    def _question(self, snapshot: Snapshot, passed_s: float) -> None:
-        """Doubt the position if the correction moves the load: against creep, load and reported speed stay at rest.
-
-        On a slack rope only the reported speed can show it.
-        """
-        tight = snapshot.tension_n >= self._slack_n and not snapshot.cell_quality
-        if tight is not self._tight:
-            self._tight, self._smooth_n = tight, snapshot.tension_n
-            self._from_mm = math.nan
-        self._smooth_n += (snapshot.tension_n - self._smooth_n) * self._share
-        if not math.isfinite(self._from_mm):
-            self._from_mm, self._from_n = snapshot.stroke_mm, self._smooth_n
-            self._corrected_mm = self._said_mm = 0.0
-        self._corrected_mm += self.command_mm_s * passed_s
-        self._said_mm += snapshot.speed_mm_s * passed_s
-        corrected_mm = self._corrected_mm
-        if abs(corrected_mm) < WINDOW_MM:
-            return
-        moved_mm = snapshot.stroke_mm - self._from_mm
-        stretch_mm = (self._smooth_n - self._from_n) / self._stiffness if tight else moved_mm
-        shares = ((self._said_mm - moved_mm) / corrected_mm, (stretch_mm - moved_mm) / corrected_mm)
-        self._windows = self._windows + 1 if any(AGREES < share < AGREES_TOO_WELL for share in shares) else 0
-        if self._windows == WINDOWS:
-            self.doubt_mm, self._doubted = WINDOWS * corrected_mm, True
-        self._from_mm = math.nan

@@ -69,7 +69,7 @@ class TensionLaw:
         tension = settings.tension
         self._gains = gains
         self._dt = 1.0 / settings.loop.rate_hz
-        self._stiffness = settings.plant.stiffness_n_mm
+        self._stiffness = self._next_stiffness = settings.plant.stiffness_n_mm
         self._integrand_n = INTEGRAL_STRETCH_MM * self._stiffness
         self._slack_n = tension.slack_n
         self._ramp_n_s = tension.ramp_n_s
@@ -114,12 +114,13 @@ class TensionLaw:
         return self._gains
 
     def change_gains(self, gains: Gains, stiffness_n_mm: float | None = None) -> None:
-        """Use other gains from the next tick on, bumpless; and another stiffness, if it is given.
+        """Use other gains from the next tick on, and another stiffness, if it is given, without a step in the command.
 
-        The integral takes over the change of the feedback of the last tick's errors.
+        The integral takes over the change of the feedback of the last tick's errors. The speed of a ramp under way goes
+        on with the stiffness before: at 50 N/s from 6 to 6.6 N/mm the other one would be a step of 0.9 mm/s.
         """
         if stiffness_n_mm is not None:
-            self._stiffness = stiffness_n_mm
+            self._next_stiffness = stiffness_n_mm
             self._integrand_n = INTEGRAL_STRETCH_MM * stiffness_n_mm
         before = self._gains
         self.integral_mm_s += (before.k_tension - gains.k_tension) * self._error_n
@@ -183,8 +184,10 @@ class TensionLaw:
     def _ramp_towards(self, target_n: float) -> float:
         """Move the set-point one tick along its ramp, easing in and out; returns its slope in N/s."""
         left = target_n - self.setpoint_n
-        if left == 0.0 and self._slope_n_s == 0.0:  # the ramp has ended
-            return 0.0
+        if self._slope_n_s == 0.0:
+            self._stiffness = self._next_stiffness
+            if left == 0.0:  # the ramp has ended
+                return 0.0
         # Easing out at three quarters of the deceleration keeps the discrete steps from passing the target.
         fastest = min(self._ramp_n_s, math.sqrt(1.5 * self._ramp_n_s2 * abs(left)))
         wanted = math.copysign(fastest, left)

@@ -45,6 +45,8 @@ class Trial(Protocol):
 
     moves: bool
     """The trial moves the stroke on purpose."""
+    power_s: float
+    """Longest time for which the trial needs the motor to hold; 0: it may run with the load on the brake."""
 
     @property
     def wanted_mm_s(self) -> float:
@@ -62,6 +64,7 @@ class Average:
     """Mean and rms of the cell's reading (before zero and scale) in N, over `AVERAGED_S`, at standstill."""
 
     moves = False
+    power_s = 0.0
 
     def __init__(self, settings: RigSettings, *, largest_n: float = math.inf) -> None:
         """``largest_n``: largest sample allowed."""
@@ -137,10 +140,12 @@ class Excitation:
 
     `rigctl.commission.identification` evaluates the records. The rig file's stiffness is not believed: short steps go
     first, each longer than the one before, and the tension gained in one bounds the stroke of the next. The trial ends
-    if tension or stroke leave their bounds all the same.
+    if tension or stroke leave their bounds all the same. It goes by the loop's grid: periods that the loop skips count,
+    and where they made a step too long, the step back is as long.
     """
 
     moves = True
+    power_s = QUIET_S + 2 * (FEELERS + PAIRS) * (LEG_S + REST_S) + 1.0
 
     def __init__(self, settings: RigSettings, inbox: Inbox) -> None:
         self._rate = rate = settings.loop.rate_hz
@@ -158,7 +163,8 @@ class Excitation:
         self._stroke_mm = self._speed_mm_s = self._stiffest_n_mm = 0.0
         self._settled_n, self._settled = 0.0, 0  # sum and count of the tension in the second half of a rest
         self._rest_n = self._start_n
-        self._ticks = 0
+        self._period_ns = settings.loop.period_ns
+        self._ticks = self._point = self._over = 0
         self.wanted_mm_s = 0.0
 
     @property
@@ -166,19 +172,23 @@ class Excitation:
         """Time taken."""
         return {"duration_s": self._ticks / self._rate}
 
-    def see(self, inbox: Inbox, _snapshot: Snapshot) -> Refusal | None:
+    def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """Choose this tick's speed, within the bounds."""
         strays_n, strays_mm = abs(inbox.tension_n - self._start_n), abs(inbox.stroke_mm - self._start_mm)
         if not (self._fits and strays_n <= self._stray_n and strays_mm <= self._stroke_mm + STRAY_MM):
             return Refusal.STRAYED
-        self._ticks += 1
+        point = snapshot.t_ns // self._period_ns
+        passed = point - self._point if self._ticks else 1
+        self._point = point
+        self._ticks += passed
         if not self.wanted_mm_s and self._left <= self._rest // 2:
             self._settled_n += inbox.tension_n
             self._settled += 1
-        self._left -= 1
+        self._left -= passed
         if self._left > 0:
             return None
         if self.wanted_mm_s:
+            self._over = -self._left
             self.wanted_mm_s, self._left = 0.0, self._rest
             return None
         if self._steps == 2 * (FEELERS + PAIRS):
@@ -194,7 +204,7 @@ class Excitation:
             gained_n = abs(settled_n - self._rest_n)
             self._felt = gained_n > self._noise_n
             self._stiffest_n_mm = (gained_n + self._noise_n) / self._stroke_mm
-            self._speed_mm_s = -self._speed_mm_s
+            self._speed_mm_s, self._leg = -self._speed_mm_s, self._leg + self._over
         else:
             self._rest_n = settled_n
             self._stroke_mm = self._next_stroke_mm(self._steps // 2)
@@ -235,6 +245,7 @@ class LoadStep:
     """
 
     moves = False
+    power_s = 0.0
 
     def __init__(self, settings: RigSettings, inbox: Inbox, seconds: float, tight_ns: int | None) -> None:
         """``seconds``: how long from the step on. ``tight_ns``: HOLD, when the tension came; None: a weight."""

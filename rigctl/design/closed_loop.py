@@ -93,7 +93,9 @@ class ClosedLoop:
 
     a: Array
     b: Array
-    command: Array  # row that gives the command, mm/s; the true tension is state 0
+    command: Array  # row that gives the command, mm/s
+    tension: Array  # row of the true tension, N
+    loss_n_s_mm: float  # true tension per disturbance speed, at once
 
     @property
     def spectral_radius(self) -> float:
@@ -116,4 +118,6 @@ def closed_loop(plant: Member, law: Controller) -> ClosedLoop:
     a[n + d :, n + d :] = law.a
     b[:n, 2] = plant.b_disturbance
     b[n + d :, :2] = law.b
-    return ClosedLoop(a, b, command)
+    b[n + d :, 2] = plant.sensed_n_s_mm * law.b[:, 0]
+    tension = np.concatenate([plant.tension, np.zeros(d + m)])
+    return ClosedLoop(a, b, command, tension, plant.loss_n_s_mm)

@@ -44,14 +44,19 @@ from rigctl.ipc.seal import SealError, SealVerdict
 INPUTS: dict[str, tuple[str, ...]] = {
     "loop": ("rate_hz",),
     "tension_cell": ("noise_n",),
-    "plant": ("spring_n_mm", "rope_n_mm", "cylinder_lag_s", "command_delay_s", "payload_kg", "mechanism_n_mm"),
+    "plant": (
+        "spring_n_mm", "rope_n_mm", "cylinder_lag_s", "command_delay_s", "payload_kg", "mechanism_n_mm",
+        "spring_damping_n_s_mm", "rope_damping_n_s_mm",
+    ),
     "estimator": (
         "speed_noise_mm_s", "cell_noise_scale", "tension_walk_n", "speed_walk_mm_s", "disturbance_walk_mm_s",
         "quiet_tension_walk_n", "quiet_disturbance_walk_mm_s",
     ),
     "design": ("stretch_weight", "integral_weight", "command_weight"),
 }  # fmt: skip
-_LATER = frozenset(INPUTS["estimator"][5:])  # left out at their default, so that files without them still fit
+_LATER = frozenset(
+    (*INPUTS["estimator"][5:], *INPUTS["plant"][6:])
+)  # left out at their default, so that files without them still fit
 SAME_VALUE = 1e-9  # relative
 REPLACEABLE = frozenset(f"{section}.{key}" for section in ("plant", "estimator", "design") for key in INPUTS[section])
 _PACKAGES = {"python-control": "control", "numpy": "numpy", "scipy": "scipy"}
@@ -109,6 +114,8 @@ class PlantThen(Settings):
     mechanism_n_mm: list[float] | None = Field(default=None, min_length=2, max_length=2)
     mechanism_above_n_mm: float | None = None
     stroke_mm: float | None = None
+    damping_n_s_mm: list[float] | None = Field(default=None, min_length=2, max_length=2)
+    mechanism_damping: list[float] | None = Field(default=None, min_length=2, max_length=2)
 
     @model_validator(mode="after")
     def _has_a_date(self) -> PlantThen:

@@ -8,7 +8,9 @@ uncertainty of 95 %. A plant is a value of each within
 because the uncertainty is of the measurement alone and of that day: a spring warms, a drive's lag changes with its
 load and its temperature, the drive's own cycle is not in phase with the bus, and a mechanism's K_m changes with its
 posture. The floors are settings of `design`. Members are the corners of stiffness, lag and delay and their middle, with
-each K_m.
+each K_m. The loss of spring and rope is a corner too; `rigctl identify` without a response does not find it, and then
+the family reaches from none to twice that of the rig file. The mechanism's damping is the least found, which is the
+worst. What else is found is left out, because it changes Ms over a family by less than `LEFT_OUT` says (a test).
 """
 
 from __future__ import annotations
@@ -22,13 +24,20 @@ from typing import Any, NamedTuple
 
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.design.plant_family import STIFFNESSES_N_MM, Family, Member, sampled
+from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, STIFFNESSES_N_MM, Family, Member, sampled
 from rigctl.ipc.ledger import CLOCKS_DIFFER, Entry, entry_digest, moment
 
 IDENTIFY, RESPONSE = "identify", "response"  # actions of the ledger whose figures are of the plant
+WINDOW = "margins"  # entry of the gateway where the margins measured each minute begin or cease to differ
+_CORNERS = ("stiffness_n_mm", "lag_s", "delay_s", "damping_n_s_mm")
 SAME_SPRING = 1e-4  # relative: stiffness of the rig file then and now; a response has it in six digits
 SAME_POINT = 0.1  # of the larger tension: nearer ones are one operating point ...
 SAME_STROKE_MM = 15.0  # ... if their strokes are this near
+LEFT_OUT = {"payload_kg": 0.02, "gain": 0.001, "speed_age_s": 0.005, "backlash": 0.0, "noise": 0.0}
+"""Most that a quantity found, and left out of the family, changes its Ms: payload by 20 %, the drive's speed over the
+command by 1 %, the age of the speed it reports by 2 ms. Backlash and noise are of no linear plant."""
+LEAST_RATIO = 0.002
+DAMPING_HALF = 0.5  # of the mechanism's damping found: it is less on another day
 FIT_MAX = 2.0  # residuals over their standard deviation; a response beyond it is not of this model
 _ROWS = {
     "stiffness": "stiffness_n_mm",
@@ -68,6 +77,8 @@ class Identified:
     mechanism_n_mm: Uncertain | None = None
     mechanism_above_n_mm: float | None = None
     stroke_mm: float | None = None  # at which it was identified; None: not on record
+    damping_n_s_mm: Uncertain | None = None  # of spring and rope; None: not identified
+    mechanism_damping: Uncertain | None = None  # of critical; None: not identified
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON values."""
@@ -167,8 +178,11 @@ def contradicted(found: Identified, entries: Sequence[Entry], settings: RigSetti
     """The ledger entry since ``found`` that its family does not predict, in one line; None if there is none.
 
     That is a later stiffness, lag, delay or K_m at the same tension that no plant of the family has, a response that
-    the model does not fit, or a measured Ms that is above the limit of the design beyond its uncertainty.
+    the model does not fit, a measured Ms that is above the limit of the design beyond its uncertainty, or a sensitivity
+    that differs from the predicted one (`differing`).
     """
+    if (why := differing(entries, found)) is not None:
+        return why
     ranges = widened(found, settings)
     since = moment(found.when)
     for item in _findings(entries):
@@ -193,6 +207,26 @@ def contradicted(found: Identified, entries: Sequence[Entry], settings: RigSetti
     return None
 
 
+def differing(entries: Sequence[Entry], found: Identified | None) -> str | None:
+    """Why the loop's sensitivity is not the predicted one, in one line, by the newest entry that compared them.
+
+    None if it is, or if ``found`` was identified from then on: that is the answer to a difference.
+    """
+    compared = [item for item in entries if item.what in (RESPONSE, WINDOW) and "difference" in item.figures]
+    if not compared or not isinstance(worst := compared[-1].figures["difference"], dict):
+        return None
+    newest = compared[-1]
+    if found is not None:
+        own = [moment(item.when) for item in entries if entry_digest(item) in found.entries]
+        if own and max(own) >= moment(newest.when):
+            return None
+    at = {name: _number(worst.get(name)) or 0.0 for name in ("hz", "measured", "error", "low", "high")}
+    return (
+        f"the {newest.what} of {newest.when[:10]} measured |S| {at['measured']:.2f} +- {at['error']:.2f} at "
+        f"{at['hz']:.3g} Hz, the design had {at['low']:.2f} to {at['high']:.2f}"
+    )
+
+
 def widened(found: Identified, settings: RigSettings) -> dict[str, Range]:
     """The range of each figure over the family; none of K_m where only a bound is known."""
     design = settings.design
@@ -205,10 +239,21 @@ def widened(found: Identified, settings: RigSettings) -> dict[str, Range]:
     if found.mechanism_n_mm is not None:
         floors["mechanism_n_mm"] = 0.01 * design.identified_mechanism_pct * found.mechanism_n_mm.value
         figures["mechanism_n_mm"] = found.mechanism_n_mm
-    return {
+    ranges = {
         name: _about(figures[name], max(floor, design.identified_error_factor * figures[name].error), name)
         for name, floor in floors.items()
     }
+    return ranges | {"damping_n_s_mm": _damping(found, settings)}
+
+
+def _damping(found: Identified, settings: RigSettings) -> Range:
+    """The loss of spring and rope: as found, or as assumed where only `identify` without a response is on record."""
+    design = settings.design
+    if (damping := found.damping_n_s_mm) is None:
+        return Range(0.0, LOSS_SCALE * settings.plant.damping_n_s_mm)
+    floor = 0.01 * design.identified_damping_pct * damping.value
+    half = max(floor, design.identified_error_factor * damping.error)
+    return Range(max(0.0, damping.value - half), damping.value + half)
 
 
 def mechanisms(found: Identified, settings: RigSettings) -> tuple[float | None, ...]:
@@ -226,14 +271,20 @@ def mechanisms(found: Identified, settings: RigSettings) -> tuple[float | None, 
 def family(settings: RigSettings, found: Identified) -> Family:
     """The plants a design for the identified plant is judged over; scales are of the plant in the settings."""
     plant, ranges = settings.plant, widened(found, settings)
-    middle = (found.stiffness_n_mm.value, found.lag_s.value, found.delay_s.value)
-    figures = [*product(*(ranges[name] for name in ("stiffness_n_mm", "lag_s", "delay_s"))), middle]
+    c_n_s_mm = plant.damping_n_s_mm if found.damping_n_s_mm is None else found.damping_n_s_mm.value
+    middle = (found.stiffness_n_mm.value, found.lag_s.value, found.delay_s.value, c_n_s_mm)
+    figures = [*product(*(ranges[name] for name in _CORNERS)), middle]
 
-    def made(k_m: float | None, k_n_mm: float, lag_s: float, delay_s: float) -> Member:
+    def made(k_m: float | None, k_n_mm: float, lag_s: float, delay_s: float, c_n_s_mm: float) -> Member:
         delay_scale = delay_s / plant.command_delay_s if plant.command_delay_s > 0.0 else 1.0
         ticks = delay_s * settings.loop.rate_hz
-        return sampled(settings, k_m, k_n_mm / plant.stiffness_n_mm, lag_s / plant.cylinder_lag_s, delay_scale, ticks)
+        scales = k_n_mm / plant.stiffness_n_mm, lag_s / plant.cylinder_lag_s, delay_scale
+        return sampled(settings, k_m, *scales, ticks, c_n_s_mm, mechanism_damping=ratio)
 
+    ratio = MECHANISM_DAMPING
+    if (damped := found.mechanism_damping) is not None:
+        half = max(DAMPING_HALF * damped.value, settings.design.identified_error_factor * damped.error)
+        ratio = max(damped.value - half, LEAST_RATIO)
     members = tuple(made(k_m, *figure) for k_m in mechanisms(found, settings) for figure in figures)
     return Family(f"identified {found.when[:10]}", members)
 
@@ -275,6 +326,8 @@ def model_of(settings: RigSettings, found: Identified) -> dict[str, float | None
                 "correct plant.rope_n_mm, and identify again"
             )
         values["plant.spring_n_mm"] = 1.0 / compliance
+    if found.damping_n_s_mm is not None:
+        values |= _chain(settings, stiffness, found.damping_n_s_mm.value, values)
     values["plant.cylinder_lag_s"] = found.lag_s.value
     values["plant.command_delay_s"] = found.delay_s.value
     if found.mechanism_n_mm is not None:
@@ -282,6 +335,26 @@ def model_of(settings: RigSettings, found: Identified) -> dict[str, float | None
     elif plant.mechanism_n_mm not in mechanisms(found, settings):
         values["plant.mechanism_n_mm"] = None
     return values
+
+
+def _chain(
+    settings: RigSettings, stiffness: float, damping_n_s_mm: float, parts: Mapping[str, float | None]
+) -> dict[str, float | None]:
+    """The losses of spring and rope whose chain has the damping found: the rope's of the file, the spring's the rest.
+
+    Exact, but where the rope of the file alone would lose more: then the spring has none and the rope the whole.
+    """
+    rope = parts.get("plant.rope_n_mm") or settings.plant.rope_n_mm
+    spring, of_rope = parts.get("plant.spring_n_mm"), settings.plant.rope_damping_n_s_mm
+    if spring is None:
+        return {"plant.rope_damping_n_s_mm": damping_n_s_mm}
+    left = damping_n_s_mm - of_rope * (stiffness / rope) ** 2
+    if left < 0.0:
+        return {
+            "plant.spring_damping_n_s_mm": 0.0,
+            "plant.rope_damping_n_s_mm": damping_n_s_mm * (rope / stiffness) ** 2,
+        }
+    return {"plant.spring_damping_n_s_mm": left * (spring / stiffness) ** 2}
 
 
 def believing(settings: RigSettings, found: Identified) -> RigSettings:
@@ -319,7 +392,8 @@ def _of_response(item: Entry) -> _Finding | None:
     plant = item.figures.get("plant")
     if not isinstance(plant, dict):
         return None
-    read = {name: _pair(*_value_error(plant.get(name))) for name in (*_ROWS.values(), "sensor_delay_s")}
+    names = (*_ROWS.values(), "sensor_delay_s", "damping_n_s_mm", "mechanism_damping")
+    read = {name: _pair(*_value_error(plant.get(name))) for name in names}
     delay, late = read["delay_s"], read.pop("sensor_delay_s")
     if delay is not None and late is not None:
         read["delay_s"] = Uncertain(delay.value + late.value, math.hypot(delay.error, late.error))
@@ -334,7 +408,7 @@ def _finding(
     tension_n = _number(item.figures.get("tension_n"))
     if believed is None or believed <= 0.0 or tension_n is None:
         return None
-    lowest = {"delay_s": 0.0}
+    lowest = {"delay_s": 0.0, "damping_n_s_mm": 0.0}
     good = {
         name: figure
         for name, figure in figures.items()
@@ -362,6 +436,7 @@ def _merged(group: Sequence[_Finding], spring: str) -> Identified:
 
     stiffness = needed("stiffness_n_mm", "stiffness")
     lag, delay = needed("lag_s", "drive's lag"), needed("delay_s", "drive's delay")
+    damping, ratio = first("damping_n_s_mm"), first("mechanism_damping")
     above = next((item for item in group if item.above_n_mm is not None), None)
     resonant = next((item for item in group if "mechanism_n_mm" in item.figures), None)
     if resonant is not None and (above is None or moment(resonant.entry.when) >= moment(above.entry.when)):
@@ -373,7 +448,9 @@ def _merged(group: Sequence[_Finding], spring: str) -> Identified:
     digests = tuple(dict.fromkeys(entry_digest(item.entry) for item in used))
     tension_n, believed = group[0].tension_n, group[0].believed_n_mm
     stroke_mm = group[0].stroke_mm
-    return Identified(dates[0], digests, tension_n, believed, stiffness, lag, delay, mechanism, bound, stroke_mm)
+    return Identified(
+        dates[0], digests, tension_n, believed, stiffness, lag, delay, mechanism, bound, stroke_mm, damping, ratio
+    )  # fmt: skip
 
 
 def _about(figure: Uncertain, half: float, name: str) -> Range:

@@ -89,13 +89,35 @@ def design_in_use(settings: RigSettings, now: datetime | None = None) -> Design:
     """
     kept = read_for(settings)
     if kept is None:
-        return design_and_check(settings)
+        return _noted(design_and_check(settings), settings)
     name = str(settings.design.gains_file)
     if (why := _why_not_believed(kept.gains, settings, now)) is not None:
         note = f"the gains of {name} are not used, but new ones over the assumed family: {why}; identify and tune again"
         return replace(design_and_check(settings), notes=(note,))
     of_file = changed(settings, {key: value.file for key, value in kept.gains.replaces.items()})
-    return _judged(_applied(kept.gains, settings), kept, name, of_file, now)
+    found = _judged(_applied(kept.gains, settings), kept, name, of_file, now)
+    return found if kept.gains.plant is not None else _noted(found, settings)
+
+
+def _noted(found: Design, settings: RigSettings) -> Design:
+    """With a warning where the loop's sensitivity was measured to differ from what the assumed family has."""
+    try:
+        why = identified.differing(ledger.read(settings), None)
+    except ledger.LedgerError:  # the preflight refuses such a ledger
+        return found
+    return found if why is None else replace(found, notes=(*found.notes, f"{why}; identify and tune again"))
+
+
+def family_in_use(settings: RigSettings, now: datetime | None = None) -> Family:
+    """The plants over which the gains of a running rig were judged, with every loss. ``settings``: as `adopted`.
+
+    Raises:
+        GainFileError: as `read_for`.
+    """
+    kept = read_for(settings)
+    if kept is None or kept.gains.plant is None or _why_not_believed(kept.gains, settings, now) is not None:
+        return plant_family.with_losses(settings)
+    return identified.family(settings, kept.gains.plant)
 
 
 def design_while_running(settings: RigSettings, text: str, name: str, now: datetime | None = None) -> Design:
@@ -116,9 +138,15 @@ def design_while_running(settings: RigSettings, text: str, name: str, now: datet
         made_for = settings.model_copy(update={"design": settings.design.model_copy(update=weights)})
         difference = spring.model_copy(update={"replaces": {}}).differs(made_for)
         if difference is None:
-            if (why := _why_not_believed(spring, settings, now)) is not None:
+            if (why := _why_not_believed(spring, settings, now) or _why_barred(spring, settings)) is not None:
                 raise GainFileError(f"{name}: {why}: identify and tune again")
             return _judged(made_for, Kept(spring, found.provenance, sealed), name)
+        if spring.replaces and spring.differs(made_for) is None:
+            kept = [key for key in spring.replaces if not key.startswith("design.")]
+            raise GainFileError(
+                f"{name}: found gains that replace {', '.join(kept)} in the rig file, expected the design's weights "
+                f"alone to differ while the rig runs: name the file as design.gains_file, and start the daemon again"
+            )
         refused.append(difference)
     raise GainFileError(f"{name}: made for other settings ({refused[0]}): run `rigctl tune` on the file that runs")
 
@@ -140,6 +168,16 @@ def not_believed(plant: Identified, settings: RigSettings, now: datetime | None 
 def _why_not_believed(gains: SpringGains, settings: RigSettings, now: datetime | None) -> str | None:
     plant = gains.plant
     return None if plant is None else not_believed(plant, settings, now)
+
+
+def _why_barred(gains: SpringGains, settings: RigSettings) -> str | None:
+    """Gains that no identification backs are barred while the loop's sensitivity is not the predicted one."""
+    if gains.plant is not None:
+        return None  # `identified.contradicted` has looked
+    try:
+        return identified.differing(ledger.read(settings), None)
+    except ledger.LedgerError as error:
+        return str(error)
 
 
 def _applied(gains: SpringGains, settings: RigSettings) -> RigSettings:

@@ -20,6 +20,7 @@ from rigctl.control.tension import Gains
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.gains import DesignError
 from rigctl.design.plant_family import Array, ComplexArray, Member
+from rigctl.design.switching import largest_between, level_gains
 
 MIN_HZ, POINTS_PER_DECADE = 0.02, 40
 MOST = 0.98
@@ -35,9 +36,9 @@ class LearningMargin(NamedTuple):
 
 
 def learning_margin(
-    settings: RigSettings, gains: Gains, laws: Sequence[Controller], members: Sequence[Member]
+    settings: RigSettings, gains: Gains, opened: Controller, quiet: Controller | None, members: Sequence[Member]
 ) -> LearningMargin:
-    """The largest ``|Q (1 - L P)|`` over members and controllers; infinite where a loop is unstable."""
+    """The largest ``|Q (1 - L P)|`` over members and every level of the filter; infinite where a loop is unstable."""
     by, period_s = learning_filter(settings, gains), 1.0 / settings.loop.rate_hz
     nyquist = 0.5 / by.step_s
     grid = np.geomspace(MIN_HZ, nyquist, round(POINTS_PER_DECADE * math.log10(nyquist / MIN_HZ)))
@@ -51,14 +52,18 @@ def learning_margin(
     )
     lead = np.exp(2j * np.pi * hz * period_s * by.lead_ticks)
     worst = LearningMargin(0.0, 0.0, members[0])
+    laws, z = [opened] if quiet is None else [quiet, opened], np.exp(2j * np.pi * hz * period_s)
     for plant in members:
-        for law in laws:
-            if closed_loop(plant, law).spectral_radius >= 1.0:
-                return LearningMargin(math.inf, 0.0, plant)
-            factor = np.abs(q * (1.0 - l * lead * averaged * played * table_response(plant, law, hz, period_s)))
-            at = int(np.argmax(factor))
-            if factor[at] > worst.factor:
-                worst = LearningMargin(float(factor[at]), float(hz[at]), plant)
+        if any(closed_loop(plant, law).spectral_radius >= 1.0 for law in laws):
+            return LearningMargin(math.inf, 0.0, plant)
+        left = [q * (1.0 - l * lead * averaged * played * table_response(plant, law, hz, period_s)) for law in laws]
+        factor = np.abs(left[0])
+        if quiet is not None:
+            (gain,) = level_gains([plant.response(z)], quiet, opened, hz, period_s)
+            factor, _ = largest_between(left[0], left[1], gain)
+        at = int(np.argmax(factor))
+        if factor[at] > worst.factor:
+            worst = LearningMargin(float(factor[at]), float(hz[at]), plant)
     return worst
 
 
@@ -97,7 +102,7 @@ def learning_law(by: LearningFilter, hz: Array) -> ComplexArray:
 
 
 def require_convergence(
-    settings: RigSettings, gains: Gains, laws: Sequence[Controller], members: Sequence[Member]
+    settings: RigSettings, gains: Gains, opened: Controller, quiet: Controller | None, members: Sequence[Member]
 ) -> None:
     """Refuse settings whose learning need not converge.
 
@@ -106,7 +111,7 @@ def require_convergence(
     """
     if settings.learning is None:
         return
-    found = learning_margin(settings, gains, laws, members)
+    found = learning_margin(settings, gains, opened, quiet, members)
     if found.factor <= MOST:
         return
     plant = found.plant

@@ -9,12 +9,14 @@ Ms is the largest modulus of S from MIN_HZ to the Nyquist frequency. Gain, phase
 ``L = -(C_T P_T + C_v P_v)`` at the plant's input. S_output is also the effect of a disturbance on the true tension,
 over its effect with the stroke locked.
 
-A filter with a quiet setting is judged in both settings and half-way between them, and with the proof that no change
-from one to another makes the loop unstable (`rigctl.design.switching`). Of each figure the worst one counts.
+A filter with a quiet setting is judged at every level from the quiet to the open one: Ms is the largest over all of
+them, exactly (`rigctl.design.switching.largest_between`); the other margins are the worst of quiet, open and the level
+of that Ms. The circle criterion says beside it that no change from one level to another makes the loop unstable.
 """
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -30,7 +32,7 @@ from rigctl.design.gains import OPEN, QUIET, design, filter_gains
 from rigctl.design.learning_margin import require_convergence
 from rigctl.design.performance import Performance, performance
 from rigctl.design.plant_family import Array, ComplexArray, Family, Member
-from rigctl.design.switching import circle_margins, common_lyapunov
+from rigctl.design.switching import circle_margin, common_lyapunov, largest_between, level_gains
 from rigctl.design.verdict import Design, GainSource, MemberMargins, SettingMargins
 
 MIN_HZ = 0.01
@@ -62,23 +64,34 @@ def judge(
     laws = controllers(model, gains)
     family = family or plant_family.assumed(settings)
     members, beside = list(family.members), list(family.reported)
-    grid = frequency_grid([*members, *beside], model.period_s)
-    plants = plant_responses([*members, *beside], grid, model.period_s)
-    found = {name: margins_over([*members, *beside], law, grid, model.period_s, plants) for name, law in laws.items()}
+    both = [*members, *beside]
+    grid, plants = _on_grid(family, model.period_s)
+    found = {name: margins_over(both, law, grid, model.period_s, plants) for name, law in laws.items()}
+    stable = all(member.stable for each in found.values() for member in each[: len(members)])
+    switching, levels, level = None, list[ComplexArray](), 1.0
+    if QUIET in laws and stable:
+        levels = level_gains(plants, laws[QUIET], laws[OPEN], grid, model.period_s)
+        level, peaks = _between(both, laws, grid, model.period_s, plants, levels, len(members))
+        name = f"{100.0 * level:.0f} % open"
+        laws[name] = controller(model, gains, _blend(model, level))
+        at_level = margins_over(both, laws[name], grid, model.period_s, plants)
+        found[name] = [
+            replace(one, ms=max(one.ms, ms), ms_output=max(one.ms_output, ms_output))
+            for one, (ms, ms_output) in zip(at_level, peaks, strict=True)
+        ]
     worst = [_worst(each) for each in zip(*found.values(), strict=True)]
     margins, reported = tuple(worst[: len(members)]), tuple(worst[len(members) :])
     of_file = [at for at, plant in enumerate(members) if plant.k_m == settings.plant.mechanism_n_mm]
     of_file = of_file or list(range(len(members)))  # a family of other mechanisms: then each of them counts
     own = all(margins[at].stable for at in of_file)
-    switching = None
-    if QUIET in laws and all(member.stable for member in margins):
-        proofs = circle_margins(plants[: len(members)], laws[QUIET], laws[OPEN], grid, model.period_s)
+    if levels:
+        proofs = [circle_margin(gain) for gain in levels[: len(members)]]
         own = own and min(proofs[at] for at in of_file) > 0.0
         certified = common_lyapunov(
             plant_family.member(settings, settings.plant.mechanism_n_mm), laws[QUIET], laws[OPEN]
         )
         switching = min(proofs) if certified is not None else min(0.0, *proofs)
-    require_convergence(settings, gains, list(laws.values()), members)
+    require_convergence(settings, gains, laws[OPEN], laws.get(QUIET), members)
     ms_max = max(member.ms_worst for member in margins)
     limit = settings.design.ms_max
     robust = ms_max <= limit and (QUIET not in laws or (switching is not None and switching > 0.0))
@@ -93,34 +106,93 @@ def judge(
         waiver=waiver,
         performance=_performance(settings, laws) if own else None,
         source=source,
-        settings=tuple(
-            SettingMargins(
-                name,
-                max(member.ms_worst for member in found[name][: len(members)]),
-                performance(settings, law) if own else None,
-            )
-            for name, law in laws.items()
-        )
-        if QUIET in laws
-        else (),
+        settings=_by_setting(settings, laws, {name: found[name][: len(members)] for name in laws}, level, own=own),
         switching=switching,
         family=family.name,
     )
 
 
-HALF_OPEN = "half open"
+def _by_setting(
+    settings: RigSettings,
+    laws: dict[str, Controller],
+    found: dict[str, list[MemberMargins]],
+    level: float,
+    *,
+    own: bool,
+) -> tuple[SettingMargins, ...]:
+    """Open, quiet, and the level of the largest Ms if the loop is stable in both; none without a quiet setting."""
+    if QUIET not in laws:
+        return ()
+    of_level = {OPEN: 1.0, QUIET: 0.0}
+    return tuple(
+        SettingMargins(
+            name,
+            max(member.ms_worst for member in found[name]),
+            performance(settings, law) if own else None,
+            of_level.get(name, level),
+        )
+        for name, law in laws.items()
+    )
 
 
-def controllers(model: FilterModel, gains: Gains) -> dict[str, Controller]:
-    """The controller in each setting of the filter: ``open``; with a quiet setting also ``quiet`` and ``half open``.
+LEVELS = 11  # at which the least |S| of a band is looked for
+
+
+def predicted_band(settings: RigSettings, gains: Gains, family: Family, hz: Array) -> tuple[Array, Array]:
+    """The least and the largest |S| at the plant's input over the family and every level of the filter, at ``hz``.
 
     Raises:
         DesignError: the filter has no steady state.
     """
+    model = filter_model(settings)
+    laws, members = controllers(model, gains), list(family.members)
+    plants = plant_responses(members, hz, model.period_s)
+    of_open = [answer.s_input for answer in responses(members, laws[OPEN], hz, model.period_s, plants)]
+    if QUIET not in laws:
+        moduli = np.abs(of_open)
+        return moduli.min(axis=0), moduli.max(axis=0)
+    of_quiet = [answer.s_input for answer in responses(members, laws[QUIET], hz, model.period_s, plants)]
+    levels = level_gains(plants, laws[QUIET], laws[OPEN], hz, model.period_s)
+    ends = list(zip(of_quiet, of_open, levels, strict=True))
+    shares = np.linspace(0.0, 1.0, LEVELS)[:, None]
+    least = [np.abs((q + shares * (o * (1.0 - g) - q)) / (1.0 - shares * g)).min(axis=0) for q, o, g in ends]
+    return np.min(least, axis=0), np.max([largest_between(q, o, g)[0] for q, o, g in ends], axis=0)
+
+
+def _between(
+    members: list[Member], laws: dict[str, Controller], grid_hz: Array, period_s: float, plants: list[ComplexArray],
+    levels: list[ComplexArray], judged: int,
+) -> tuple[float, list[tuple[float, float]]]:  # fmt: skip
+    """The level of the largest Ms over the first ``judged`` members, and each member's largest Ms, in and out."""
+    ends = zip(
+        *(responses(members, laws[name], grid_hz, period_s, plants) for name in (QUIET, OPEN)), levels, strict=True
+    )
+    peaks, worst, level = [], 0.0, 1.0
+    for at, (quiet, opened, gain) in enumerate(ends):
+        own = []
+        for a, b in ((quiet.s_input, opened.s_input), (quiet.s_output, opened.s_output)):
+            moduli, where = largest_between(a, b, gain)
+            highest = int(np.argmax(moduli))
+            own.append(float(moduli[highest]))
+            if at < judged and own[-1] > worst:
+                worst, level = own[-1], float(where[highest])
+        peaks.append((own[0], own[1]))
+    return level, peaks
+
+
+def controllers(model: FilterModel, gains: Gains) -> dict[str, Controller]:
+    """The controller in each setting of the filter: ``open``, and where there is one ``quiet``.
+
+    Raises:
+        DesignError: the filter has no steady state.
+    """
+    return {name: controller(model, gains, gain) for name, gain in filter_gains(model).items()}
+
+
+def _blend(model: FilterModel, level: float) -> Array:
+    """The filter's gain at a level: 0 quiet, 1 open."""
     of_setting = filter_gains(model)
-    if QUIET in of_setting:
-        of_setting[HALF_OPEN] = 0.5 * (of_setting[OPEN] + of_setting[QUIET])
-    return {name: controller(model, gains, gain) for name, gain in of_setting.items()}
+    return of_setting[QUIET] + level * (of_setting[OPEN] - of_setting[QUIET])
 
 
 def _worst(margins: tuple[MemberMargins, ...]) -> MemberMargins:
@@ -179,6 +251,14 @@ def plant_responses(members: list[Member], grid_hz: Array, period_s: float) -> l
     """`Member.response` of every member on the grid."""
     z = np.exp(2j * np.pi * grid_hz * period_s)
     return [plant.response(z) for plant in members]
+
+
+@functools.lru_cache(maxsize=2)  # a search judges hundreds of designs over one family
+def _on_grid(family: Family, period_s: float) -> tuple[Array, list[ComplexArray]]:
+    """The grid of a family's verdict, and the response there of every member and reported one."""
+    both = [*family.members, *family.reported]
+    grid = frequency_grid(both, period_s)
+    return grid, plant_responses(both, grid, period_s)
 
 
 def responses(

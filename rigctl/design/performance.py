@@ -29,13 +29,13 @@ class Performance:
 
 def performance(settings: RigSettings, law: Controller) -> Performance:
     """Figures for the plant in the file, unscaled."""
-    plant = member(settings, settings.plant.mechanism_n_mm)
+    plant = member(settings, settings.plant.mechanism_n_mm, loss_scale=1.0)
     loop = closed_loop(plant, law)
     dt = 1.0 / settings.loop.rate_hz
     z = np.exp(2j * np.pi * np.array([VERTICAL_HZ, *SHAKE_HZ]) * dt)
     pencil = z[:, None, None] * np.eye(len(loop.a)) - loop.a
     held = np.broadcast_to(loop.b[:, 2:].astype(np.complex128), (len(z), len(loop.b), 1))
-    disturbed = np.abs(np.linalg.solve(pencil, held)[:, 0, 0])
+    disturbed = np.abs(np.linalg.solve(pencil, held)[:, :, 0] @ loop.tension + loop.loss_n_s_mm)
     speed = VERTICAL_MM * np.abs(z[0] - 1.0) / dt
     locked = np.abs(plant.response(z)[2])
     noise_n = settings.tension_cell.noise_n
@@ -47,5 +47,5 @@ def performance(settings: RigSettings, law: Controller) -> Performance:
         sensitivity_8hz=float(disturbed[2] / locked[2]),
         command_noise_mm_s=float(np.sqrt(loop.command @ by_cell @ loop.command)),
         command_noise_per_speed=float(np.sqrt(loop.command @ by_speed @ loop.command)),
-        tension_noise_n=float(np.sqrt(by_cell[0, 0])),
+        tension_noise_n=float(np.sqrt(loop.tension @ by_cell @ loop.tension)),
     )

@@ -199,12 +199,13 @@ def _run(law: TickedLaw, plant: Member, speeds: Array, noise: list[float], targe
     ]
     state, sample = [0.0] * len(plant.a), (target_n, 0.0)
     late = [0.0] * plant.delay_ticks
+    tension, loss, sensed = plant.tension.tolist(), plant.loss_n_s_mm, plant.sensed_n_s_mm
     errors, commands = [], []
     for speed, cell in zip(speeds.tolist(), noise, strict=True):
         command = law.command(*sample)
-        errors.append(state[0])
+        errors.append(sum(map(mul, tension, state)) + loss * speed)
         commands.append(command)
-        sample = target_n + state[0] + cell, state[1]
+        sample = target_n + state[0] + sensed * speed + cell, state[1]
         late.append(command)
         vector = (*state, late.pop(0), speed)
         state = [sum(map(mul, row, vector)) for row in rows]

@@ -1,4 +1,4 @@
-"""Proof that the loop is stable however the filter goes between its quiet and its open setting.
+"""Levels between the filter's quiet and its open setting: any sequence of them is stable; the largest Ms of them all.
 
 The closed loop is ``x' = (A + l b c) x``: A with the quiet gain, c x the innovation of the tension, b what the
 difference of the two gains does with it, and 0 <= l(n) <= 1 in any order of time. One quadratic Lyapunov function
@@ -8,7 +8,9 @@ difference of the two gains does with it, and 0 <= l(n) <= 1 in any order of tim
 
 which is the circle criterion for the sector [0, 1] (Hitz, Anderson, Proc. IEE 116 (1969), 153-155; for one quadratic
 constraint the S-procedure loses nothing: Yakubovich, Vestnik Leningrad Univ. 1971). g = 1 where the settings are equal.
-l may jump in every tick: no bound on its rate is assumed.
+l may jump in every tick: no bound on its rate is assumed. That is all it says: nothing of a sample that is missing or
+rejected, where the speed's column of the gain changes too, and nothing of Ms, which is of levels that are settled
+(`largest_between`).
 """
 
 from __future__ import annotations
@@ -21,10 +23,10 @@ from rigctl.design.closed_loop import STATES, Controller, closed_loop
 from rigctl.design.plant_family import Array, ComplexArray, Member
 
 
-def circle_margins(
+def level_gains(
     plants: Sequence[ComplexArray], quiet: Controller, opened: Controller, grid_hz: Array, period_s: float
-) -> list[float]:
-    """g for each plant's response on the grid (`Member.response`), of loops that are stable in the quiet setting."""
+) -> list[ComplexArray]:
+    """G with each plant's response on the grid (`Member.response`)."""
     z: ComplexArray = np.exp(2j * np.pi * grid_hz * period_s)
     injected, to_command = _injected(quiet, opened)
     outputs = np.stack([quiet.c, _innovation(quiet)]).astype(np.complex128)
@@ -37,9 +39,34 @@ def circle_margins(
     found = []
     for tension, speed, _ in plants:
         command = by_injection / (1.0 - by_tension * tension - by_speed * speed)
-        innovation = seen_injection + (seen_tension * tension + seen_speed * speed) * command
-        found.append(float(np.min(1.0 - innovation.real)))
+        found.append(seen_injection + (seen_tension * tension + seen_speed * speed) * command)
     return found
+
+
+def circle_margin(gain: ComplexArray) -> float:
+    """g of a loop that is stable in the quiet setting, from its G on the grid."""
+    return float(np.min(1.0 - gain.real))
+
+
+def largest_between(at_quiet: ComplexArray, at_open: ComplexArray, gain: ComplexArray) -> tuple[Array, Array]:
+    """The largest modulus of a response of the closed loop over all settled levels 0 to 1, and its level.
+
+    Any response of the loop is ``T(l) = (T(0) + l b) / (1 - l G)``, because l adds a matrix of rank one. Its squared
+    modulus is a ratio of quadratics in l, whose extrema are the roots of a third one: exact at each frequency.
+    """
+    b = at_open * (1.0 - gain) - at_quiet
+    n0, n1, n2 = np.abs(at_quiet) ** 2, 2.0 * (at_quiet.conj() * b).real, np.abs(b) ** 2
+    d1, d2 = -2.0 * gain.real, np.abs(gain) ** 2
+    second, first, last = n2 * d1 - n1 * d2, 2.0 * (n2 - n0 * d2), n1 - n0 * d1
+    root = np.sqrt(np.maximum(first**2 - 4.0 * second * last, 0.0))
+    half = -0.5 * (first + np.copysign(root, first))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        extrema = np.stack([half / second, last / half])
+    inner = np.clip(np.nan_to_num(extrema, nan=0.0), 0.0, 1.0)
+    levels = np.concatenate([inner, np.zeros((1, len(gain))), np.ones((1, len(gain)))])
+    moduli = np.abs((at_quiet + levels * b) / (1.0 - levels * gain))
+    best = np.argmax(moduli, axis=0)[None]
+    return np.take_along_axis(moduli, best, 0)[0], np.take_along_axis(levels, best, 0)[0]
 
 
 def common_lyapunov(plant: Member, quiet: Controller, opened: Controller) -> Array | None:

@@ -1,4 +1,4 @@
-"""Proof that changing between the entries of a gain table leaves the loop stable: a dwell time.
+"""A dwell time with which changes between the entries of a gain table leave the loop stable, with every member.
 
 Each entry has passed the gate by itself, but a sequence of stable loops may be unstable. With every plant p of the
 families of two entries i and j, the loop in entry i is ``x' = A_i x``; where it changes to j, one tick is

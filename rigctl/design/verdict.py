@@ -39,16 +39,18 @@ class MemberMargins:
 
 @dataclass(frozen=True)
 class SettingMargins:
-    """One setting of the filter: ``open``, ``quiet`` or ``half open``."""
+    """One setting of the filter: ``open``, ``quiet`` or a level between them."""
 
     name: str
     ms_max: float  # over the family, both places
     performance: Performance | None
+    level: float = 1.0  # 0 quiet, 1 open
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON values; an infinite figure becomes null."""
         return {
             "name": self.name,
+            "level": self.level,
             "ms_max": self.ms_max if math.isfinite(self.ms_max) else None,
             "performance": asdict(self.performance) if self.performance else None,
         }
@@ -86,6 +88,11 @@ class Design:
     switching: float | None = None  # `rigctl.design.switching`, the least over the family; None: nothing switches
     family: str = ASSUMED  # which plants ``margins`` are of, see `rigctl.design.plant_family.Family`
     notes: tuple[str, ...] = ()  # further warnings, one line each
+
+    @property
+    def worst_level(self) -> float:
+        """Of the filter, where Ms is the largest: 0 quiet, 1 open."""
+        return next((setting.level for setting in self.settings[2:]), 1.0)
 
     def as_dict(self) -> dict[str, Any]:
         """As JSON values; an infinite figure becomes null."""

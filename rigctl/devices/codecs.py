@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from operator import itemgetter
+from typing import Protocol
 
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
@@ -24,6 +25,7 @@ _OVERLOAD = (od.AiStatus.POSITIVE_OVERLOAD | od.AiStatus.NEGATIVE_OVERLOAD).valu
 _NOT_VALID = od.AiStatus.NOT_VALID.value
 
 _RAD_PER_SLOPE_UNIT = math.radians(od.SLOPE_RESOLUTION_MDEG * 1e-3)
+_RATED_TORQUE = 1.0 / od.PER_TORQUE_UNIT
 _COMMAND_LIMIT = 2**31 - 1  # 0x60FF is an INTEGER32
 
 
@@ -124,18 +126,28 @@ def inputs_decoder(layout: PdoLayout) -> Callable[[Data], int]:
     return lambda data: read(data)[0]
 
 
-def command_encoder(layout: PdoLayout, drive: DriveUnits) -> Callable[[int, float], bytes]:
-    """Payload of the command PDO (CiA 402: 0x6040, 0x60FF; 0x6060 where a fixed mapping has it).
+class CommandEncoder(Protocol):
+    """From controlword, speed (mm/s) and preload (N) to the command PDO's payload."""
 
-    A speed that is not finite or does not fit is sent as zero, because no such number may reach the actuator.
+    def __call__(self, controlword: int, speed_mm_s: float, preload_n: float = 0.0) -> bytes:
+        """The payload."""
+
+
+def command_encoder(layout: PdoLayout, drive: DriveUnits, rated_force_n: float | None = None) -> CommandEncoder:
+    """Payload of the command PDO (CiA 402: 0x6040, 0x60FF, 0x60B2; 0x6060 where a fixed mapping has it).
+
+    A speed that is not finite or does not fit is sent as zero, because no such number may reach the actuator. A preload
+    ends at the rated torque.
     """
     pack, unit_mm_s = layout.codec.pack, drive.speed_mm_s
-    known = ((od.CONTROLWORD, 0), (od.TARGET_VELOCITY, 0), (od.MODE_OF_OPERATION, 0))
+    known = ((od.CONTROLWORD, 0), (od.TARGET_VELOCITY, 0), (od.MODE_OF_OPERATION, 0), (od.TORQUE_OFFSET, 0))
+    unit_n = math.inf if rated_force_n is None else rated_force_n * od.PER_TORQUE_UNIT
     in_order = itemgetter(*[known.index(each) for each in layout.objects])
 
-    def encode(controlword: int, speed_mm_s: float) -> bytes:
+    def encode(controlword: int, speed_mm_s: float, preload_n: float = 0.0) -> bytes:
         raw = round(units) if math.isfinite(units := speed_mm_s / unit_mm_s) else 0
-        values = (controlword, raw if -_COMMAND_LIMIT <= raw <= _COMMAND_LIMIT else 0, od.CYCLIC_SYNCHRONOUS_VELOCITY)
-        return pack(*in_order(values))
+        speed = raw if -_COMMAND_LIMIT <= raw <= _COMMAND_LIMIT else 0
+        torque = round(min(max(preload_n / unit_n, -_RATED_TORQUE), _RATED_TORQUE))
+        return pack(*in_order((controlword, speed, od.CYCLIC_SYNCHRONOUS_VELOCITY, torque)))
 
     return encode

@@ -39,6 +39,7 @@ CODES = {
     0x8220: "PDO length exceeded",
     0x8240: "unexpected SYNC length",
     0x8250: "RPDO timeout",
+    0x8700: "SYNC lost",
 }
 REGISTER = (
     "generic", "current", "voltage", "temperature", "communication", "device profile", "reserved bit", "manufacturer",

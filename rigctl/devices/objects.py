@@ -16,10 +16,14 @@ from rigctl.config.canopen import *
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
+SYNC_COB_ID = 0x1005  # bit 30: the device sends SYNC itself
+CYCLE_PERIOD = 0x1006  # us between two SYNCs; 0 = not known
 DEVICE_HEARTBEAT_MS = 100  # our value of every device's 0x1017
 CONSUMER_HEARTBEAT = 0x1016  # :01 = node id << 16 | time in ms
 PRODUCER_HEARTBEAT = 0x1017
 IDENTITY = 0x1018
+ERROR_BEHAVIOUR = 0x1029  # :01 of a communication error: 0 = to PRE-OPERATIONAL, 1 = the NMT state stays
+NMT_STATE_STAYS = 1
 RPDO1_COMMUNICATION = 0x1400  # :05 event timer = deadline in ms
 RPDO1_MAPPING = 0x1600
 TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC; :03 inhibit time, 0.1 ms; :05 event timer, ms
@@ -36,6 +40,8 @@ class NmtState(IntEnum):
     OPERATIONAL = 0x05
     PRE_OPERATIONAL = 0x7F
 
+
+NMT_STOP = 0x02  # command: the node enters STOPPED; a drive that is enabled then does as 0x6007 says
 
 # -- CiA 404: tension amplifier ---------------------------------------------------------------------------------
 DEVICE_TYPE_404 = 0x00020194  # analogue input device of profile 404
@@ -75,13 +81,18 @@ ENCODER_STEP = 0x6005  # :01 UNSIGNED32, measuring step in nm
 NM_PER_MM = 1_000_000
 
 # -- CiA 401: generic I/O node ------------------------------------------------------------------------------------
-DEVICE_TYPE_401 = 0x00010191  # digital inputs, profile 401
-DIGITAL_INPUTS_FITTED = 1 << 16  # of the device type
+DEVICE_TYPE_401 = 0x00030191  # digital inputs and outputs, profile 401
+DIGITAL_INPUTS_FITTED, DIGITAL_OUTPUTS_FITTED = 1 << 16, 1 << 17  # of the device type
 INPUTS_8 = 0x6000  # :01 on, UNSIGNED8: eight digital inputs each
 INPUT_POLARITY_8 = 0x6002  # :01 on, UNSIGNED8: 1 = the input is inverted
 INPUT_EVENTS = 0x6005  # BOOLEAN: a change of an input sends the TPDO
 INPUT_EVENT_MASK_8 = 0x6006  # :01 on, UNSIGNED8: 1 = a change of this input counts
 EVERY_INPUT_8 = 0xFF
+OUTPUTS_8 = 0x6200  # :01 on, UNSIGNED8: eight digital outputs each
+OUTPUT_POLARITY_8 = 0x6202  # :01 on, UNSIGNED8: 1 = the output is inverted
+OUTPUT_ERROR_MODE_8 = 0x6206  # :01 on, UNSIGNED8: 1 = in an error the output takes its error value, 0 = it stays
+OUTPUT_ERROR_VALUE_8 = 0x6207  # :01 on, UNSIGNED8
+EVERY_OUTPUT_8 = 0xFF
 EVENT_DRIVEN = 255  # transmission type of the device profile: here on a change and by the event timer
 
 # -- CiA 402: cylinder drive ------------------------------------------------------------------------------------
@@ -98,8 +109,11 @@ MODE_DISPLAY = 0x6061
 POSITION_ACTUAL = 0x6064  # INTEGER32, um or the drive's own unit
 DRIVE_TEMPERATURE = 0x2045  # manufacturer: INTEGER16, 0.1 deg C
 MOTOR_RATED_CURRENT = 0x6075  # UNSIGNED32, mA
+MOTOR_RATED_TORQUE = 0x6076  # UNSIGNED32, mNm; at the rated current
 CURRENT_ACTUAL = 0x6078  # INTEGER16, per mille of the rated current
 DIGITAL_INPUTS = 0x60FD  # UNSIGNED32: bit 0 lower limit switch, 1 upper, 2 home, from 16 on the manufacturer's
+POLARITY = 0x607E  # UNSIGNED8, bits below: commands and reports of this quantity are multiplied by -1
+POSITION_POLARITY, VELOCITY_POLARITY = 1 << 7, 1 << 6
 QUICK_STOP_DECELERATION = 0x6085  # um/s2
 ENCODER_RESOLUTION = 0x608F  # :01 increments per :02 revolutions of the motor
 GEAR_RATIO = 0x6091  # :01 revolutions of the motor per :02 of the shaft
@@ -108,6 +122,7 @@ SI_UNIT_POSITION = 0x60A8
 SI_UNIT_VELOCITY = 0x60A9
 VELOCITY_OFFSET = 0x60B1  # INTEGER32, um/s, added to the target velocity; optional in the profile
 INTERPOLATION_PERIOD = 0x60C2  # :01 value, :02 power of ten of a second
+TORQUE_OFFSET = 0x60B2  # INTEGER16, per mille of the rated torque, added to the motor's; optional in the profile
 TARGET_VELOCITY = 0x60FF  # INTEGER32, um/s
 ERROR_CODE = 0x603F
 SI_MICROMETRE = 0xFA010000  # prefix 10^-6, metre
@@ -119,7 +134,8 @@ SLOW_DOWN_THEN_OFF = 1  # 0x605B, 0x605C: on the slow down ramp 0x6084, then pow
 FAULT_REACTION_QUICK_STOP = 2  # 0x605E: slow down on the quick stop ramp, then power off with the brake closed
 
 DRIVE_OBEYS_BY = frozenset(
-    {(MODE_OF_OPERATION, 0), (MODE_DISPLAY, 0), (SI_UNIT_POSITION, 0), (SI_UNIT_VELOCITY, 0), (0x60B1, 0),
+    {(SYNC_COB_ID, 0), (POLARITY, 0), (MODE_OF_OPERATION, 0), (MODE_DISPLAY, 0), (SI_UNIT_POSITION, 0),
+     (SI_UNIT_VELOCITY, 0), (0x60B1, 0),
      *((RPDO1_COMMUNICATION, sub) for sub in (1, 2)), *((RPDO1_MAPPING, sub) for sub in (0, 1, 2))}
 )  # fmt: skip
 """Objects without which the drive does not follow commands (0x60B1: velocity offset)."""
@@ -130,6 +146,7 @@ MM_S_PER_VELOCITY_16_UNIT = 1e-2
 C_PER_TEMPERATURE_UNIT = 0.1
 A_PER_RATED_CURRENT_UNIT = 1e-3
 PER_CURRENT_UNIT = 1e-3  # of the rated current
+PER_TORQUE_UNIT = 1e-3  # of the rated torque
 N_PER_CELL_UNIT = 10.0**-CELL_DECIMAL_DIGITS
 C_PER_CELL_UNIT = 10.0**-CELSIUS_DECIMAL_DIGITS
 
@@ -192,6 +209,7 @@ class EmcyCode(IntEnum):
     COMMUNICATION = 0x8100
     HEARTBEAT_LOST = 0x8130
     RPDO_TIMEOUT = 0x8250
+    SYNC_LOST = 0x8700
     SENSOR_INVALID = 0x5010
     EXTERNAL = 0x9000  # of the drive: its emergency stop input has opened
 
@@ -313,11 +331,17 @@ ENCODER_TPDO = PdoLayout(TPDO1_BASE, ((ENCODER_POSITION, 0, "I"),))
 DRIVE_TPDO = PdoLayout(TPDO1_BASE, ((STATUSWORD, 0, "H"), (POSITION_ACTUAL, 0, "i"), (VELOCITY_ACTUAL_16, 0, "h")))
 DRIVE_TPDO2 = PdoLayout(TPDO2_BASE, ((CURRENT_ACTUAL, 0, "h"), (DRIVE_TEMPERATURE, 0, "h"), (DIGITAL_INPUTS, 0, "I")))
 DRIVE_RPDO = PdoLayout(RPDO1_BASE, ((CONTROLWORD, 0, "H"), (TARGET_VELOCITY, 0, "i")))
+DRIVE_RPDO_PRELOAD = PdoLayout(RPDO1_BASE, (*DRIVE_RPDO.fields, (TORQUE_OFFSET, 0, "h")))
 
 
 def inputs_tpdo(block: int) -> PdoLayout:
     """The I/O node's TPDO with eight inputs, those of sub-index ``block`` of 0x6000."""
     return PdoLayout(TPDO1_BASE, ((INPUTS_8, block, "B"),))
+
+
+def outputs_rpdo(block: int) -> PdoLayout:
+    """The I/O node's RPDO with eight outputs, those of sub-index ``block`` of 0x6200."""
+    return PdoLayout(RPDO1_BASE, ((OUTPUTS_8, block, "B"),))
 
 
 def frame_bits(size: int) -> int:

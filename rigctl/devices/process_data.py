@@ -21,7 +21,8 @@ COMMAND = "command"
 DRIVE_SPEED, DRIVE_STATUS = "cylinder_speed", "cylinder_status"
 CELL_TEMPERATURE = "tension_cell_temperature"
 SECOND_FORCE = "second_force"
-_OWNERS = {CELL_TEMPERATURE: "tension_cell"}  # the others without a section of their name are the drive's
+DRIVE_ENABLE = "io_output"
+_OWNERS = {CELL_TEMPERATURE: "tension_cell", DRIVE_ENABLE: "io"}  # others without a section of their name: the drive
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class DriveUnits:
 class ProcessData:
     """PDOs by name: the rig file's section, `DRIVE_SPEED` and `DRIVE_STATUS` of the drive's others, `COMMAND`.
 
-    `CELL_TEMPERATURE`: the second channel of the tension amplifier.
+    `CELL_TEMPERATURE`: the second channel of the tension amplifier. `DRIVE_ENABLE`: the I/O node's outputs.
     """
 
     frames: Mapping[str, PdoLayout]
@@ -77,6 +78,8 @@ def wanted(settings: RigSettings) -> ProcessData:
         frames[SECOND_FORCE] = od.CELL_TPDO if settings.second_force.kind == "cell" else od.ENCODER_TPDO
     if settings.io is not None:
         frames["io"] = od.inputs_tpdo(settings.io.block)
+        if settings.io.enable_block:
+            frames[DRIVE_ENABLE] = od.outputs_rpdo(settings.io.enable_block)
     speed = ((cylinder.velocity_object, 0, "i" if cylinder.velocity_object == od.VELOCITY_ACTUAL else "h"),)
     split = cylinder.velocity_pdo != cylinder.position_pdo
     place = ((od.STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i"))
@@ -87,7 +90,7 @@ def wanted(settings: RigSettings) -> ProcessData:
         heat = ((cylinder.temperature_object, 0, "h"),) if cylinder.temperature_object is not None else ()
         status = ((od.CURRENT_ACTUAL, 0, "h"), *heat, (od.DIGITAL_INPUTS, 0, "I"))
         frames[DRIVE_STATUS] = PdoLayout(od.tpdo_base(cylinder.status_pdo), status)
-    frames[COMMAND] = od.DRIVE_RPDO
+    frames[COMMAND] = od.DRIVE_RPDO if cylinder.rated_force_n is None else od.DRIVE_RPDO_PRELOAD
     return ProcessData(frames, in_increments(settings, cylinder.increments_per_mm))
 
 

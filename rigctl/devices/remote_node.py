@@ -157,7 +157,8 @@ class RemoteNode:
         self._verified.pop((index, sub), None)
         self._verified[index, sub] = Watched(
             self.id, index, sub, size, value & (1 << 8 * size) - 1, name or entry.name,
-            round(self.remote.sdo.RESPONSE_TIMEOUT * 1000), (index, sub) in od.DRIVE_OBEYS_BY,
+            round(self.remote.sdo.RESPONSE_TIMEOUT * 1000),
+            self._section == "cylinder" and (index, sub) in od.DRIVE_OBEYS_BY,
         )  # fmt: skip
 
     def enforce(self, name: str, wanted: int, index: int, sub: int) -> StopSetting:

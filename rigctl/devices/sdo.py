@@ -13,11 +13,13 @@ SIZE = 8
 READS_HZ, FEWEST_TICKS = 100, 4  # largest rate of the loop's requests, and least ticks between two
 _MULTIPLEXER = struct.Struct("<HB")
 _REQUEST = struct.Struct("<BHB4x")
+_WRITE = struct.Struct("<BHBI")
 _VALUE = struct.Struct("<I")
 _SPECIFIER = 0xE0
 _UPLOAD, _DOWNLOAD, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 0x40, 0x20, 0x80, 0xA0, 0xC0
 _UPLOADED, _DOWNLOADED = 0x40, 0x60  # of the server
 _EXPEDITED, _SIZED = 0x02, 0x01
+_DOWNLOAD_16 = _DOWNLOAD | 2 << 2 | _EXPEDITED | _SIZED  # two of the four bytes hold no value
 _BLOCK_INITIATE = 0x01  # bit 0 of the sub-command: 0 begins a block transfer
 
 
@@ -69,9 +71,14 @@ def upload_request(index: int, sub: int) -> bytes:
     return _REQUEST.pack(_UPLOAD, index, sub)
 
 
+def write_request(index: int, sub: int, value: int) -> bytes:
+    """Initiate an expedited download (CiA 301) of 16 bits."""
+    return _WRITE.pack(_DOWNLOAD_16, index, sub, value)
+
+
 def answered(data: bytes | bytearray) -> tuple[int, int] | None:
-    """Index and sub-index of an answer to an upload request, or of an abort; None for another frame."""
-    if len(data) != SIZE or data[0] & _SPECIFIER not in (_UPLOADED, _ABORT):
+    """Index and sub-index of an answer to an upload or a write, or of an abort; None for another frame."""
+    if len(data) != SIZE or data[0] & _SPECIFIER not in (_UPLOADED, _DOWNLOADED, _ABORT):
         return None
     return _MULTIPLEXER.unpack_from(data, 1)
 

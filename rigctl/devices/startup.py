@@ -6,9 +6,11 @@ one line that names device, object, found and expected.
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -23,6 +25,7 @@ from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
     CELL_TEMPERATURE,
     COMMAND,
+    DRIVE_ENABLE,
     DRIVE_SPEED,
     DRIVE_STATUS,
     SECOND_FORCE,
@@ -37,6 +40,7 @@ from rigctl.devices.sdo import Watched
 __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
 _LISTENED_HEARTBEATS = 2.5
+_CYCLE_S = 0.01  # longest wait of the thread for a frame: its end takes no longer
 _INHIBIT_UNITS_PER_MS = 10
 _SAME_SCALE = 1e-6  # relative: two values of the same scale differ by rounding at most
 _METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
@@ -111,10 +115,26 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
             )
 
 
-def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] = lambda _line: None) -> StartupReport:
+@contextlib.contextmanager
+def heard_by_a_thread(bus: can.BusABC, listeners: Sequence[can.Listener]) -> Iterator[None]:
+    """A thread of python-can's hands each frame of the bus to ``listeners``."""
+    notifier = can.Notifier(bus, list(listeners), _CYCLE_S)
+    try:
+        yield
+    finally:
+        notifier.stop()
+
+
+def bring_up(
+    bus: can.BusABC,
+    settings: RigSettings,
+    say: Callable[[str], None] = lambda _line: None,
+    heard: Callable[[Sequence[can.Listener]], AbstractContextManager[None]] | None = None,
+) -> StartupReport:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
-    ``say``: called with one line for each wait.
+    ``say``: called with one line for each wait. ``heard``: how the devices' answers reach listeners meanwhile, a
+    thread by default.
 
     Devices with plain frames need no configuration; the loop's preflight checks that they send.
 
@@ -123,15 +143,11 @@ def bring_up(bus: can.BusABC, settings: RigSettings, say: Callable[[str], None] 
     """
     refuse_rival(bus, settings)
     network = canopen.Network(bus)
-    network.NOTIFIER_CYCLE = 0.01
-    network.connect()
     try:
-        return _configure(network, settings, say)
+        with heard_by_a_thread(bus, network.listeners) if heard is None else heard(network.listeners):
+            return _configure(network, settings, say)
     except can.CanError as error:
         raise StartupError(f"{settings.can.interface}:{settings.can.channel}: {error}") from None
-    finally:
-        if network.notifier is not None:
-            network.notifier.stop()
 
 
 def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
@@ -158,6 +174,8 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     frames |= _map_fitted(nodes, settings, pdos)
     drive = nodes["cylinder"]
     units = _units(drive, settings)
+    if drive.has(od.POLARITY):  # a drive mounted the other way round needs one; the sign check proves it right
+        drive.watch(drive.read(od.POLARITY), od.POLARITY)
     frames["cylinder"] = drive.map_pdo(pdos["cylinder"], 1)
     if DRIVE_SPEED in pdos:
         frames[DRIVE_SPEED] = drive.map_pdo(pdos[DRIVE_SPEED], 1)
@@ -170,12 +188,22 @@ def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[s
     if drive.has(od.MODE_DISPLAY):
         drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     supervision = _supervise(drive, settings, units)
-    for node in nodes.values():
+    for device, node in nodes.items():
+        if device != "io":  # it sends on events
+            _listen_to_sync(node)
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
     for node in nodes.values():
         node.remote.nmt.state = "OPERATIONAL"
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
     return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+
+
+def _listen_to_sync(node: RemoteNode) -> None:
+    """Check that the device takes our SYNC for its own and sends none; another value is written."""
+    if node.read(od.SYNC_COB_ID) == od.SYNC_COB:
+        node.watch(od.SYNC_COB, od.SYNC_COB_ID)
+    else:
+        node.write(od.SYNC_COB, od.SYNC_COB_ID)
 
 
 def _map_fitted(
@@ -189,6 +217,8 @@ def _map_fitted(
         frames[SECOND_FORCE] = _check_second(second, settings, pdos[SECOND_FORCE])
     if settings.io is not None:
         frames["io"] = _map_inputs(nodes["io"], settings.io, pdos["io"])
+        if DRIVE_ENABLE in pdos:
+            frames[DRIVE_ENABLE] = _map_enable(nodes["io"], settings, pdos[DRIVE_ENABLE])
     return frames
 
 
@@ -321,6 +351,36 @@ def _map_inputs(node: RemoteNode, io: IoSettings, layout: od.PdoLayout) -> od.Pd
     return node.map_pdo(layout, od.EVENT_DRIVEN, timers)
 
 
+def _map_enable(node: RemoteNode, settings: RigSettings, layout: od.PdoLayout) -> od.PdoLayout:
+    """Have the node switch the drive's enable by our RPDO, and drop it by itself without our heartbeat."""
+    io, device_type = settings.io, node.read(od.DEVICE_TYPE)
+    assert io is not None  # there is no such frame without it
+    if not device_type & od.DIGITAL_OUTPUTS_FITTED:
+        raise StartupError(
+            f"{node.where(od.DEVICE_TYPE, 0)}: found {device_type:#x}, expected one with digital outputs"
+        )
+    blocks, block = node.read(od.OUTPUTS_8), io.enable_block
+    if blocks < block:
+        raise StartupError(
+            f"{node.where(od.OUTPUTS_8, 0)}: found {blocks * INPUTS_PER_BLOCK} outputs, "
+            f"expected more than io.drive_enable_output ({io.drive_enable_output})"
+        )
+    node.write(0, od.OUTPUTS_8, block, verify=False)  # the loop sets it, so nothing watches its value
+    if node.has(od.OUTPUT_POLARITY_8, block):
+        node.expect(0, od.OUTPUT_POLARITY_8, block)
+    node.write(od.EVERY_OUTPUT_8, od.OUTPUT_ERROR_MODE_8, block)
+    node.write(0, od.OUTPUT_ERROR_VALUE_8, block)
+    if node.has(od.ERROR_BEHAVIOUR, 1):  # the node goes on sending its inputs, which show that the output has dropped
+        node.write(od.NMT_STATE_STAYS, od.ERROR_BEHAVIOUR, 1)
+    node.write(consumer_heartbeat(settings), od.CONSUMER_HEARTBEAT, 1)
+    return node.map_pdo(layout, od.EVENT_DRIVEN)
+
+
+def consumer_heartbeat(settings: RigSettings) -> int:
+    """Value of 0x1016:01 in the devices that watch our heartbeat: our node and cylinder.heartbeat_timeout_ms."""
+    return settings.can.controller_node << 16 | settings.cylinder.heartbeat_timeout_ms
+
+
 def _plain_devices(settings: RigSettings) -> list[PlainDevice]:
     return [
         PlainDevice(_DEVICES[device][0], getattr(settings, device).dbc.file, message.name, message.can_id)
@@ -340,13 +400,14 @@ def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> t
     """Make the drive stop by itself when we go silent, and read every such setting back.
 
     A setting that the drive refuses does not end the start: the rig can be inspected, and arming reports the setting.
-    A velocity offset left in the drive by its commissioning tool would move the stroke while the loop commands 0.
+    A velocity offset left in the drive by its commissioning tool would move the stroke while the loop commands 0, and a
+    torque offset when the motor takes the load over; the commands set that one where the rig file has a preload.
     """
     cylinder = settings.cylinder
+    preloads = cylinder.rated_force_n is not None
     deceleration = round(cylinder.stop_deceleration_mm_s2 / units.ramp_mm_s2)
-    consumer = settings.can.controller_node << 16 | cylinder.heartbeat_timeout_ms
     wanted = (
-        ("consumer heartbeat", consumer, od.CONSUMER_HEARTBEAT, 1),
+        ("consumer heartbeat", consumer_heartbeat(settings), od.CONSUMER_HEARTBEAT, 1),
         ("command deadline", cylinder.command_deadline_ms, od.RPDO1_COMMUNICATION, 5),
         ("abort connection option", od.ABORT_CONNECTION_QUICK_STOP, od.ABORT_CONNECTION_OPTION, 0),
         ("quick stop option", od.QUICK_STOP_RAMP_THEN_OFF, od.QUICK_STOP_OPTION, 0),
@@ -355,6 +416,7 @@ def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> t
         ("fault reaction option", od.FAULT_REACTION_QUICK_STOP, od.FAULT_REACTION_OPTION, 0),
         ("quick stop deceleration", deceleration, od.QUICK_STOP_DECELERATION, 0),
         *((("velocity offset", 0, od.VELOCITY_OFFSET, 0),) if drive.has(od.VELOCITY_OFFSET) else ()),
+        *((("torque offset", 0, od.TORQUE_OFFSET, 0),) if drive.has(od.TORQUE_OFFSET) and not preloads else ()),
     )
     return tuple(drive.enforce(*setting) for setting in wanted)
 

@@ -1,4 +1,4 @@
-"""Whom the gateway's router lets in: its certificates and access list, from the rig's key folder.
+"""Whom the gateway's router lets in: its access list, and with certificates those of the rig's key folder.
 
 Zenoh takes an access list only when a session is opened. The gateway therefore ends when the list has changed, and the
 supervisor starts it anew, as after any end of it.
@@ -12,7 +12,10 @@ import secrets
 import zenoh
 
 from rigctl.config.settings import RigSettings
+from rigctl.gateway.kept_places import KeptPlaces, local_operators
+from rigctl.gateway.places import Rules
 from rigctl.identity.key_folder import KeyFolder
+from rigctl.identity.roles import PEOPLE, Role
 from rigctl.wire.access_control import access_control
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import open_router
@@ -21,19 +24,20 @@ ANY_PERSON = "*"
 
 
 class Admission:
-    """Certificates and access list of one rig's router; without a key folder everyone may do everything."""
+    """Certificates and access list of one rig's router."""
 
     def __init__(self, settings: RigSettings) -> None:
         self._settings = settings
         self._folder = KeyFolder(settings.key_folder) if settings.key_folder is not None else None
+        self._rules = Rules(local_operators())
         self.own_zid = f"1{secrets.token_hex(15)}"
         """Zenoh's id of the gateway's own session for commands; Zenoh takes no leading 0."""
         self._edition = self._folder.edition() if self._folder is not None else None
         self.keys = Keys(settings.rig, ANY_PERSON if self._folder is not None else "")
-        """The rig's keys; with certificates those of the commands carry the person's name."""
+        """The rig's keys; with certificates those of the commands over TLS carry the person's name."""
 
     def open_router(self, socket: str) -> zenoh.Session:
-        """Open the router; ``socket``: its second endpoint, for the gateway's own session.
+        """Open the router; ``socket``: its second endpoint, for the gateway's own session and for this computer.
 
         Raises:
             SessionError: the endpoint cannot be opened.
@@ -41,12 +45,22 @@ class Admission:
         """
         telemetry = self._settings.telemetry
         listen = [telemetry.listen, socket]
+        rig, join = self._settings.rig, telemetry.join
         if self._folder is None:
-            return open_router(listen, telemetry.join)
+            return open_router(listen, join, access_control=access_control(rig, self.own_zid, joins=bool(join)))
         now = datetime.datetime.now(datetime.UTC)
         self._folder.check_gateway(now)
-        access = access_control(self._settings.rig, self._folder.certificates(), now, self.own_zid)
-        return open_router(listen, telemetry.join, self._folder.gateway_credentials(), access)
+        certificates = self._folder.certificates()
+        valid = [one for one in certificates if one.is_valid(now) and one.role in PEOPLE]
+        commanding = [one.common_name for one in valid if one.role.includes(Role.OPERATOR)]
+        own = local_operators()  # on the socket in the run-time folder
+        self._rules = Rules(own.union(commanding), own.union(one.common_name for one in valid))
+        access = access_control(rig, self.own_zid, certificates, now)
+        return open_router(listen, join, self._folder.gateway_credentials(), access)
+
+    def places(self, session: zenoh.Session, socket: str) -> KeptPlaces:
+        """The places of the router that was opened."""
+        return KeptPlaces(session, [self._settings.telemetry.listen, socket], self._rules)
 
     def has_changed(self) -> bool:
         """Whether the access list is another than when the router was opened."""

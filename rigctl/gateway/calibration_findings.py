@@ -17,7 +17,7 @@ from rigctl.commission import creep as creep_fit
 from rigctl.commission import proposal
 from rigctl.commission.cell_uncertainty import drift, scale_u, zero_u_n
 from rigctl.commission.creep import CreepError, CreepFit, course
-from rigctl.commission.identification import IdentificationError
+from rigctl.commission.identification import IdentificationError, pairs_of
 from rigctl.config.settings import CalibrationSettings, RigSettings
 from rigctl.control.modes import Mode, Setting, SettingOrder, Verb
 from rigctl.control.tension import Gains
@@ -204,9 +204,9 @@ def _creep_verdict(found: CreepFit, now: Standing, weight_n: float, *, held: boo
     if held:
         return "of cell, rope, spring and mechanism together: a held rope does not tell them apart"
     if not hangs:
-        return f"the load's step of {found.step_n:z.2f} N is not the weight ({weight_n:g} N): not told from a rope's"
+        return f"the load's step of {found.step_n:z.2f} N is not the weight ({weight_n:g} N): a rope makes the same"
     if not found.told:
-        return f"not told from noise and from a drift of the zero by {found.drift_n:.3f} N"
+        return f"it is not beyond noise and a drift of the zero by {found.drift_n:.3f} N"
     words = "of the cell alone: nothing else carries the weight"
     if found.misfit > MISFIT:
         words += f", but two exponentials miss the record by {found.misfit:.1f} times its scatter"
@@ -287,15 +287,19 @@ def identify(settings: RigSettings, request: Request, records: npt.NDArray[Any],
         FindingError: the records do not determine them.
     """
     try:
-        found = proposal.rows(proposal.signals_of(records, 1.0 / settings.loop.rate_hz), settings)
+        signals = proposal.signals_of(records, settings.loop.period_ns * 1e-9)
+        pairs, found = pairs_of(signals), proposal.rows(signals, settings)
     except IdentificationError as error:
         raise FindingError(str(error)) from None
     written = entry(
         settings, "identify", request.operator, wall_ns,
         before={row["key"]: row["before"] for row in found}, after={row["key"]: row["found"] for row in found},
-        figures={"rows": found, "applied": False, "tension_n": float(records["tension_n"].mean())},
+        figures={
+            "rows": found, "repetitions": len(pairs.kept), "left_out": pairs.late, "applied": False,
+            "tension_n": float(records["tension_n"].mean()),
+        },
     )  # fmt: skip
-    return CalibrationFinding(written, proposal.in_words(found))
+    return CalibrationFinding(written, proposal.in_words(found, pairs))
 
 
 def response(settings: RigSettings, request: Request, found: dict[str, Any], wall_ns: int) -> CalibrationFinding:

@@ -159,6 +159,17 @@ class CalibrationService:
         except OSError as error:
             self._say(f"{self._runtime.directory / name} cannot be written: {error.strerror}")
 
+    def record(self, written: Entry) -> None:
+        """Write an entry of the gateway's own to the ledger, if the rig has one, after what is being written."""
+        if self._settings.ledger is not None:
+            self._work.put(lambda: self._append(written))
+
+    def _append(self, written: Entry) -> None:
+        try:
+            ledger.append(self._settings, written)
+        except LedgerError as error:
+            self._say(f"the {written.what} are not on record: {error}")
+
     def _serve(self) -> None:
         while (work := self._work.get()) is not None:
             work()

@@ -22,14 +22,13 @@ import zenoh
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.frequency_trial import LONGEST_S
-from rigctl.control.modes import FILED, Setting, SettingOrder, Verb, command_slot
+from rigctl.control.modes import FILED, NEEDS_MOTOR, Setting, SettingOrder, Verb, command_slot
 from rigctl.control.trials import STEP_WAIT_S
+from rigctl.gateway.answers import answer_command
 from rigctl.gateway.calibration_service import CalibrationService, Filed
-from rigctl.gateway.command_proofs import CommandProofs, ProofStanding, refusal_text
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.refused_access import AccessRefusal
-from rigctl.gateway.signer import Signer, query_attachment
 from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
@@ -44,6 +43,7 @@ from rigctl.wire.session import MESSAGE_BYTES
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
+TAKE_NS = 4_000_000_000  # taking the load back: standstill with the brake closed 2 s, the drive 2 s
 WAIT_NS = {
     Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
     Verb.TARE: ANSWER_NS + 2_000_000_000,
@@ -51,10 +51,12 @@ WAIT_NS = {
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
     Verb.RESPONSE: ANSWER_NS + round(LONGEST_S * 1e9),
 }
+WAIT_NS |= {verb: WAIT_NS.get(verb, ANSWER_NS) + TAKE_NS for verb in NEEDS_MOTOR}
+WAITING = frozenset({Verb.ARM}) | NEEDS_MOTOR
+"""Commands that may wait for the drive, and for the read-back before it."""
 READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
 _PENDING_MAX = 64  # commands without an answer, HOLD not counted
 _NAMES_ON_RECORD = 8  # operators put on record for one shared HOLD
-_OTHER_LEASE = ""  # a lease that is not the one in force: no lease has this id
 _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arrive in between share the next one
 
 
@@ -129,16 +131,13 @@ class CommandServer:
         leases: LeaseService,
         log: RequestLog,
         preflight: Preflight,
-        signer: Signer,
-        proofs: CommandProofs,
         run_id: str = "",
     ) -> None:
         """``newest``: reads the newest record; ``limits_n``: lowest and highest target; ``log``: for the audit log.
 
-        ``signer``: answers; ``proofs``: says who gives a command.
         ``run_id``: of this daemon; a command that names another run is refused.
         """
-        self._run_id, self._signer, self._proofs = run_id, signer, proofs
+        self._run_id = run_id
         self._log, self._preflight = log, preflight
         self._calibration, self._leases = calibration, leases
         self._keys, self._commands, self._replies = keys, commands, replies
@@ -146,8 +145,7 @@ class CommandServer:
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()  # None ends the thread
         self._holds: deque[GivenCommand] = deque()  # served before all others
         self._hold_ns = 0  # earliest time of the next HOLD for the loop
-        now = time.monotonic_ns()
-        self._rate, self._unproven_rate = Flow(now), Flow(now)  # strangers use up no operator's share
+        self._rate = Flow(time.monotonic_ns())
         self._pending: dict[int, Pending] = {}
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="commands", daemon=True)
@@ -155,7 +153,8 @@ class CommandServer:
     def open(self, session: zenoh.Session) -> None:
         """Take queries from ``session``."""
         self._thread.start()
-        session.declare_queryable(self._keys.command("*"), self._take)
+        for person in {"", self._keys.person}:
+            session.declare_queryable(self._keys._replace(person=person).command("*"), self._take)
 
     def give_setting(self, order: SettingOrder) -> None:
         """Send the loop a setting that no operator gives."""
@@ -165,17 +164,16 @@ class CommandServer:
         """Have a lapsed lease ended and refused commands reported, also while no command arrives."""
         if self._leases.has_lapsed(now_ns):
             self._work.put(lambda: self._leases.expire(time.monotonic_ns()))
-        for rate in (self._rate, self._unproven_rate):
-            if rate.due(now_ns):
-                self._work.put(partial(self._note_refused, rate))
+        if self._rate.due(now_ns):
+            self._work.put(self._note_refused)
 
     def note_refused_access(self, refusals: list[AccessRefusal]) -> None:
         """Have what the access list and TLS refused noted."""
         if refusals:
             self._work.put(lambda: self._leases.note_refused_access(refusals, time.monotonic_ns()))
 
-    def _note_refused(self, rate: Flow) -> None:
-        self._leases.note_refused(rate.report(), time.monotonic_ns())
+    def _note_refused(self) -> None:
+        self._leases.note_refused(self._rate.report(), time.monotonic_ns())
 
     def close(self) -> None:
         """End the thread; nothing is answered after it."""
@@ -188,18 +186,14 @@ class CommandServer:
         name = key.rsplit("/", 1)[-1]
         request: AnyRequest | None = None
         refusal: dict[str, Any] | None = None
-        person, payload = "", None
+        person = ""
         try:
             person = self._person(key)
-            payload = _payload_of(query)
-            request = parsed(name, payload)
+            request = parsed(name, _payload_of(query))
             if person:  # the access list lets only that person's certificate use the key
                 request = replace(request, operator=person)
         except RequestError as error:
             refusal = refused(on_one_line(name), person, "bad_request", str(error))
-        standing, now = ProofStanding.UNPROVEN, time.monotonic_ns()
-        if request is not None:
-            standing, request = self._proven(query, key, payload or b"", request, now)
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             refusal = self._meant_for_another(request)
             if refusal is None:
@@ -207,18 +201,12 @@ class CommandServer:
                 self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
                 return
             request = None
-        operator, proven = request.operator if request is not None else person, standing is ProofStanding.PROVEN
+        operator, now = request.operator if request is not None else person, time.monotonic_ns()
         holder = request is not None and self._leases.is_holder(operator, request.lease, now)
-        rate = self._rate if proven else self._unproven_rate
-        if refusal is None and not proven:
-            more = {"now_ns": now} if standing is ProofStanding.OLD else {}
-            refusal = refused(on_one_line(name), operator, standing.value, refusal_text(standing), **more)
-        if why := rate.admit(operator, now, holder=holder):
-            # No signature for a stranger's flood: one costs as much time as all else here.
-            too_many = refused(on_one_line(name), operator, "too_many", why)
-            self._signer.answer_command(query, too_many, signed=proven)
+        if why := self._rate.admit(operator, now, holder=holder):
+            answer_command(query, refused(on_one_line(name), operator, "too_many", why))
         elif refusal is not None:
-            self._signer.answer_command(query, refusal)
+            answer_command(query, refusal)
             self._work.put(partial(self._record_refusal, refusal))
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, query, request))
@@ -228,20 +216,11 @@ class CommandServer:
             self._work.put(partial(self._give, GivenCommand(query, request)))
 
     def _person(self, key: str) -> str:
-        """The name in the certificate under which a command came; empty without certificates."""
+        """The name in the certificate under which a command came; empty for one on the rig's own socket."""
         try:
             return self._keys.giver(key)
         except ValueError:
             raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command") from None
-
-    def _proven(
-        self, query: zenoh.Query, key: str, payload: bytes, request: AnyRequest, now_ns: int
-    ) -> tuple[ProofStanding, AnyRequest]:
-        """Who gives a command, and the command with the lease that it proves, or may be granted."""
-        in_force = self._leases.id_in_force(request.operator, now_ns)
-        shown = self._proofs.shown(query_attachment(query), request.operator, key, payload, in_force, now_ns)
-        lease = in_force if shown.holder else _OTHER_LEASE if shown.claims_lease else None
-        return shown.standing, replace(request, lease=lease, new=shown.new)
 
     def _serve(self) -> None:
         while True:
@@ -259,14 +238,14 @@ class CommandServer:
 
     def _decide_lease(self, query: zenoh.Query, request: LeaseRequest) -> None:
         message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
-        self._signer.answer_command(query, message)
+        answer_command(query, message)
         self._record_refusal(message)
 
     def _decide_alarm(self, query: zenoh.Query, request: AlarmRequest) -> None:
         """Put a decision about an alarm on record; every display folds it from the events."""
         now = time.monotonic_ns()
         message = self._meant_for_another(request) or self._leases.note_alarm(request, now)
-        self._signer.answer_command(query, message | {"lease": self._leases.shown(now)})
+        answer_command(query, message | {"lease": self._leases.shown(now)})
         self._record_refusal(message)
 
     def _meant_for_another(self, request: AnyRequest) -> dict[str, Any] | None:
@@ -350,7 +329,7 @@ class CommandServer:
 
     def _is_late(self, pending: Pending, now_ns: int) -> bool:
         more_ns = 0
-        if pending.given.request.verb is Verb.ARM and now_ns > pending.until_ns and self._newest_record().arming:
+        if pending.given.request.verb in WAITING and now_ns > pending.until_ns and self._newest_record().arming:
             more_ns = READ_BACK_NS
         return now_ns > pending.until_ns + more_ns
 
@@ -398,7 +377,7 @@ class CommandServer:
         """Answer a command with the lease in force; returns the answer."""
         request = given.request
         message = self._leases.with_lease(request, message, now_ns)
-        self._signer.answer_command(given.query, message)
+        answer_command(given.query, message)
         return message
 
     def _holder(self) -> str:

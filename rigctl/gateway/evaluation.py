@@ -18,13 +18,16 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from rigctl.commission import measured_margins, response_entry
-from rigctl.commission.frequency_response import ComplexArray, plant_response, spectra
+from rigctl.commission.frequency_response import ComplexArray, PlantResponse, plant_response, spectra
 from rigctl.commission.identification import IdentificationError
 from rigctl.commission.measured_margins import Controller
 from rigctl.commission.motion import Array
+from rigctl.commission.proposal import left_out_in_words
+from rigctl.commission.sensitivity_check import SensitivityDifference, difference
 from rigctl.config.settings import RigSettings
 from rigctl.control import frequency_trial, margin_probe
 from rigctl.control.estimator import filter_model
+from rigctl.control.events import Unmeasured
 from rigctl.control.modes import Mode
 from rigctl.control.multisine import Multisine
 from rigctl.control.tension import Gains
@@ -36,7 +39,11 @@ VAGUE = 0.2  # a sensitivity peak less certain than that says nothing of a limit
 
 
 class EvaluationError(ValueError):
-    """The records cannot be evaluated; ``str()`` says why, in one line."""
+    """The records cannot be evaluated; ``str()`` says why, in one line, ``reason`` its kind."""
+
+    def __init__(self, why: str, reason: int = Unmeasured.OTHER) -> None:
+        super().__init__(why)
+        self.reason = reason
 
 
 def evaluate(runtime: Runtime, what: str, records: npt.NDArray[Any]) -> dict[str, Any]:
@@ -75,19 +82,39 @@ def _judged(
     margins = measured_margins.measure(found, settings.plant, law_response(settings, gains), measured=regulated)
     within = records[: len(records) - spare] if spare else records
     tension_n = float(within["tension_n"].mean())
-    figures = response_entry.figures(plant_response(found), margins, found, settings.plant) | {
+    measured = plant_response(found)
+    left_out = left_out_in_words(
+        "periods, in which the loop skipped ticks or the command was limited, and after those,",
+        found.left_out, found.periods,
+    )  # fmt: skip
+    figures = response_entry.figures(measured, margins, found, settings.plant) | {
         "mode": Mode(int(records["mode"][-1])).name,
         "tension_n": round(tension_n, 3),
         "stroke_mm": round(float(within["stroke_mm"].mean()), 3),
         "peak_n": round(float(np.abs(within["tension_n"] - tension_n).max()), 3),
         "peak_mm_s": round(float(np.abs(within["excitation_mm_s"]).max()), 4),
     }
+    text = ", ".join(part for part in (response_entry.in_words(margins), left_out) if part)
+    if regulated:
+        differs = compared(settings, gains, measured)
+        figures["difference"] = None if differs is None else differs.as_dict()
+        text += "" if differs is None else f"; WARNING: {differs.in_words()}"
     return {
         "before": response_entry.values_assumed(settings.plant),
         "after": response_entry.values(margins.plant),
         "figures": figures,
-        "text": response_entry.in_words(margins),
+        "text": text,
     }
+
+
+def compared(settings: RigSettings, gains: Gains, measured: PlantResponse) -> SensitivityDifference | None:
+    """Where the measured sensitivity is not one of the family over which the gains in force were judged."""
+    from rigctl.design.in_use import family_in_use
+    from rigctl.design.margins import predicted_band
+
+    found, hz = measured.sensitivity, measured.frequencies_hz
+    low, high = predicted_band(settings, gains, family_in_use(settings), hz)
+    return difference(hz, np.abs(found.value), found.gain_error, low, high)
 
 
 def margins(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> dict[str, Any]:
@@ -102,16 +129,24 @@ def margins(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> d
     steady = records[int(changes[-1]) + 1 if len(changes) else 0 :]
     peak_mm_s = margin_probe.level(settings) * shape.peak_mm_s
     if not len(steady) or abs(float(np.abs(steady["excitation_mm_s"]).max()) - peak_mm_s) > SAME_MM_S:
-        raise IdentificationError("the margins' multisine is not at its level")
+        raise IdentificationError("the margins' multisine is not at its level", Unmeasured.UNSTEADY)
     part = steady[-(margin_probe.WINDOW_PERIODS * shape.ticks + 1) :]
     found = spectra(part, shape.harmonics, shape.ticks, tick_s)
     measured = measured_margins.measure(found, settings.plant, law_response(settings, gains))
     if not measured.ms.error <= VAGUE:
         raise IdentificationError(
             f"the margins' multisine is too weak here: Ms {measured.ms.value:.2f} +- {measured.ms.error:.2f}; a larger "
-            "margins.probe_n, or `rigctl identify --response`"
+            "margins.probe_n, or `rigctl identify --response`",
+            Unmeasured.WEAK,
         )
-    return {"ms": measured.ms.value, "error": measured.ms.error, "peak_hz": measured.peak_hz, "periods": found.periods}
+    differs = compared(settings, gains, plant_response(found))
+    return {
+        "ms": measured.ms.value,
+        "error": measured.ms.error,
+        "peak_hz": measured.peak_hz,
+        "periods": found.periods,
+        "difference": None if differs is None else differs.as_dict(),
+    }
 
 
 def law_response(settings: RigSettings, gains: Gains) -> Controller:
@@ -146,7 +181,8 @@ def _evaluate(directory: str, what: str, data: bytes) -> dict[str, Any]:
     try:
         return _WHAT[what](settings, gains, np.load(io.BytesIO(data), allow_pickle=False))
     except (IdentificationError, DesignError, ArithmeticError, ValueError) as error:  # the others: no plant has these
-        return {"refused": " ".join(str(error).split())}
+        reason = error.reason if isinstance(error, IdentificationError) else Unmeasured.OTHER
+        return {"refused": " ".join(str(error).split()), "reason": reason}
 
 
 if __name__ == "__main__":

@@ -8,8 +8,9 @@ from __future__ import annotations
 import contextlib
 import signal
 import sys
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -23,18 +24,18 @@ from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
+from rigctl.diagnosis.live import LatchedCulprit
+from rigctl.gateway import accepted_sockets
 from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
 from rigctl.gateway.admission import Admission
+from rigctl.gateway.answers import refuse
 from rigctl.gateway.calibration_service import CalibrationService
-from rigctl.gateway.command_proofs import CommandProofs
 from rigctl.gateway.command_server import CommandServer
-from rigctl.gateway.foreign_messages import ForeignMessages
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
-from rigctl.gateway.run_keys import run_keys
-from rigctl.gateway.signer import Signer
+from rigctl.gateway.stalled_processes import StalledProcesses
 from rigctl.gateway.streams import (
     EventStream,
     FastStream,
@@ -44,15 +45,17 @@ from rigctl.gateway.streams import (
     past_messages,
 )
 from rigctl.identity.key_folder import KeyFolderError
-from rigctl.ipc import heap
+from rigctl.ipc import heap, standard_output
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import RequestLog
+from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
+from rigctl.wire.public_file import PUBLIC, PublicFile
 from rigctl.wire.schema import schema
 from rigctl.wire.session import SessionError, close, finish, open_client
 from rigctl.wire.state_message import (
@@ -60,6 +63,7 @@ from rigctl.wire.state_message import (
     CheckDetails,
     Recent,
     TripEvents,
+    culprit_of,
     design_of,
     preflight_of,
     recorder_of,
@@ -69,8 +73,8 @@ from rigctl.wire.state_message import (
 
 _JSON = zenoh.Encoding.APPLICATION_JSON
 _READ_NS = 500_000_000  # between two readings of the other processes' files
-_LINK_S = 1.5  # limit for links to the joined routers; they are up at once unless the computer is busy
-_JOIN_S = 0.5  # for the declarations behind those routers to arrive
+_LINK_S = 1.5  # limit for sessions at the routers to join; they are open at once unless the computer is busy
+_JOIN_S = 0.5  # for their answers
 
 
 class StateView:
@@ -83,10 +87,12 @@ class StateView:
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), TripEvents()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
+        self._culprit = LatchedCulprit(runtime.records.reader(), settings)
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand now, in words, the strongest first."""
         self.check_details = CheckDetails(runtime.events.reader(from_start=True))
         self._warnings: list[str] = []
+        self._stalled = StalledProcesses(runtime)
         self._design: str | None = None
         self._kept: dict[str, Any] = {}
         self._read_ns = 0
@@ -108,12 +114,13 @@ class StateView:
         events = self._events.read()
         self._trip.note(events)
         self._causes.note(events)
+        self._culprit.note(events)
         if now_ns >= self._read_ns:
             self._read_ns = now_ns + _READ_NS
             self._design, of_design = design_of(self._active.written)
             self._recorder.read()
             self._kept, of_recorder = recorder_of(self._recorder.value, now_ns)
-            self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder]
+            self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder, *self._stalled.look()]
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         wall_ns = time.time_ns() - now_ns
         causes = self._causes.of(record, wall_ns) if record is not None else []
@@ -124,6 +131,7 @@ class StateView:
         own = {
             "rig": self._rig,
             "causes": causes,
+            "culprit": culprit_of(self._culprit.of(record), causes, state),
             "samples_lost": samples_lost,
             "design": self._design,
             "calibration": standing,
@@ -140,16 +148,16 @@ class StateView:
         return msgspec.json.encode({**own, **state})
 
 
-def _answering(signer: Signer, answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
+def _answering(answer: Callable[[zenoh.Query], tuple[str, bytes]]) -> Callable[[zenoh.Query], None]:
     """A queryable's callback, from a function that returns key and payload; an exception becomes an error reply."""
 
     def take(query: zenoh.Query) -> None:
         try:
             key, payload = answer(query)
-            signer.reply(query, key, payload)
+            query.reply(key, payload)
         except (ValueError, KeyError, OSError, msgspec.MsgspecError, zenoh.ZError) as error:
             with contextlib.suppress(zenoh.ZError):
-                signer.reply_error(query, {"text": str(error)})
+                refuse(query, {"text": str(error)})
         finish(query)
 
     return take
@@ -170,7 +178,6 @@ def _declare_queryables(
     view: StateView,
     active: ActiveConfiguration,
     stream: int,
-    signer: Signer,
 ) -> None:
     known = msgspec.json.encode(schema(keys.rig, keys.person))
     records, events, notes = runtime.records.reader(), runtime.events.reader(), runtime.notes.reader()
@@ -187,7 +194,33 @@ def _declare_queryables(
         (keys.events_past, past_events),
         (keys.state, lambda _query: (keys.state, view.newest)),  # last: a client that gets one finds the others
     ):
-        session.declare_queryable(key, _answering(signer, answer))
+        session.declare_queryable(key, _answering(answer))
+
+
+def refuse_duplicate_name(keys: Keys, join: Sequence[str]) -> None:
+    """Refuse to start where a rig behind a router to join has the same name: its clients could not tell them apart.
+
+    The routers are asked as by any client, because this one takes no token of its own rig from another.
+
+    Raises:
+        SessionError: there is one.
+    """
+    found: list[str] = []
+
+    def look(endpoint: str) -> None:
+        with contextlib.suppress(SessionError, zenoh.ZError):
+            session = open_client(endpoint)
+            if any(reply.ok is not None for reply in session.liveliness().get(keys.daemon, timeout=_JOIN_S)):
+                found.append(endpoint)
+            close(session)
+
+    looks = [threading.Thread(target=look, args=(endpoint,), daemon=True) for endpoint in join]
+    for one in looks:
+        one.start()
+    for one in looks:
+        one.join(_LINK_S + _JOIN_S)
+    if found:
+        raise SessionError(f"another daemon named {keys.rig} answers behind {', '.join(found)}: rename one")
 
 
 class Gateway:
@@ -204,12 +237,14 @@ class Gateway:
         self._log, self._refused = log, RefusedAccess()
         keys, now = self._admission.keys, time.monotonic_ns()
         self._active, self._active_sent = ActiveConfiguration(runtime), b""
-        run_id, listen = str(self._active.written.get("run_id", "")), settings.telemetry.listen
-        run = run_keys(runtime, settings.rig, listen, run_id)
-        self._signer = signer = Signer(run.private)
+        run_id, telemetry = str(self._active.written.get("run_id", "")), settings.telemetry
         socket = f"unixsock-stream/{runtime.gateway_socket}"
+        refuse_duplicate_name(keys, telemetry.join)
         self._session = self._admission.open_router(socket)
-        self._refuse_duplicate_name(keys, settings)
+        runtime.let_operators_connect()
+        public = PublicFile(settings.rig, telemetry.listen, run_id, telemetry.join)
+        runtime.write_json(PUBLIC, public, runtime.public_mode)
+        self._places = self._admission.places(self._session, socket)
         # Commands have a session of their own, so that congestion of the data cannot delay them.
         self._command_session = open_client(socket, zid=self._admission.own_zid)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
@@ -221,15 +256,15 @@ class Gateway:
         self._state = declare_publisher(self._session, keys.state, encoding=_JSON)
         self._configuration = declare_publisher(self._session, keys.active, encoding=_JSON)
         fast = declare_publisher(self._session, keys.fast)
-        self._fast = FastStream(fast, records, self._cursor, now, signer)
+        self._fast = FastStream(fast, records, self._cursor, now)
         publishers = event_publishers(self._session, keys)
         events, notes = runtime.events.reader(from_start=True), runtime.notes.reader(from_start=True)
-        self._events = EventStream(publishers, events, notes, self._cursor, now, signer)
+        self._events = EventStream(publishers, events, notes, self._cursor, now)
 
         limits_n = (settings.tension.target_min_n, settings.tension.target_max_n)
         self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
-        self._margins = MarginService(runtime, settings, calibration.excited)
+        self._margins = MarginService(runtime, settings, calibration.excited, calibration.record)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
         self._read_ns, self._outdated = 0, False
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
@@ -244,8 +279,6 @@ class Gateway:
             self._leases,
             RequestLog(runtime.requests.writer()),
             self._preflight,
-            signer,
-            CommandProofs(run, now, certified=settings.telemetry.tls is not None),
             run_id,
         )
         verdict = self._preflight.verdict(now)
@@ -253,10 +286,7 @@ class Gateway:
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
         self._commands.open(self._command_session)
-        _declare_queryables(self._session, keys, runtime, self._view, self._active, stream, signer)
-        # With certificates the access list refuses all of it.
-        certified = settings.key_folder is not None
-        self._foreign = None if certified else ForeignMessages(keys, self._session, self._command_session)
+        _declare_queryables(self._session, keys, runtime, self._view, self._active, stream)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
 
@@ -283,34 +313,19 @@ class Gateway:
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events, see above
         self._events.publish()
-        self._signer.publish(self._state, state)
+        self._state.put(state)
 
     def _note_refused_access(self, now_ns: int) -> None:
         if self._log is not None:
             for line in self._log.lines():
                 self._refused.take(line, now_ns)
-        if self._foreign is not None:
-            self._foreign.poll(self._refused, now_ns)
+        self._places.keep(self._refused, now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
 
     def _publish_active(self) -> None:
         if (found := self._active.read()) is not self._active_sent:
             self._active_sent = found
-            self._signer.publish(self._configuration, found)
-
-    def _refuse_duplicate_name(self, keys: Keys, settings: RigSettings) -> None:
-        """Refuse to start where a rig behind the joined routers has the same name: a command would reach both."""
-        joined = settings.telemetry.join
-        if not joined:
-            return
-        until = time.monotonic() + _LINK_S
-        while len(self._session.info.routers_zid()) < len(joined) and time.monotonic() < until:
-            time.sleep(0.01)
-        time.sleep(_JOIN_S)
-        found = self._session.liveliness().get(keys.daemon, timeout=_JOIN_S)
-        if any(reply.ok is not None for reply in found):
-            close(self._session)
-            raise SessionError(f"another daemon named {settings.rig} answers behind {', '.join(joined)}: rename one")
+            self._configuration.put(found)
 
     def _send_host_checks(self, verdict: PreflightVerdict, now_ns: int) -> None:
         """Send the host checks whenever the loop's record shows others; a loop that has just started has none."""
@@ -324,11 +339,12 @@ class Gateway:
         self._host_checks_ns = now_ns + _READ_NS
         self._commands.give_setting(SettingOrder(Setting.HOST_CHECKS, (float(verdict.host_checks),)))
 
-    def run(self, stop: Termination) -> None:
+    def run(self, stop: Termination, progress: Progress) -> None:
         """Publish on an absolute grid until ``stop``, or until the access list changes; missed periods are skipped."""
         due = time.monotonic_ns()
         while not stop.requested and not self._outdated:
             self.publish()
+            progress.step()
             now = time.monotonic_ns()
             due += self._period_ns * max(1, -((due - now) // self._period_ns))
             time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
@@ -348,17 +364,19 @@ class Gateway:
 
 def main(arguments: list[str]) -> int:
     """Run the gateway of the runtime folder named; returns the exit code."""
+    standard_output.never_wait()
     stop = Termination(signal.SIGTERM, signal.SIGHUP)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     die_with_parent(signal.SIGTERM)
     heap.limit()
+    accepted_sockets.raise_limit()
     try:
         if (run := joined(arguments, "gateway", stop)) is None:
             return 0
         runtime = run.runtime
         settings = RigSettings.model_validate(runtime.read_json("active.json").get("settings"))
-        gateway = Gateway(runtime, settings, ZenohLog() if settings.key_folder is not None else None)
-        run.show()
+        gateway = Gateway(runtime, settings, ZenohLog())
+        progress = run.show()
     except UsageError as error:
         sys.stderr.write(f"usage: python -m rigctl.gateway.gateway_process {error}\n")
         return 2
@@ -368,7 +386,7 @@ def main(arguments: list[str]) -> int:
     except ValidationError:
         sys.stderr.write("gateway: active.json holds no valid settings\n")
         return 1
-    gateway.run(stop)
+    gateway.run(stop, progress)
     gateway.close()
     return 0
 

@@ -19,7 +19,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.alarm_request import AlarmRequest
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, NewLease, is_id
+from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
 from rigctl.wire.lease_request import LeaseRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
@@ -42,10 +42,6 @@ def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
         return None
     sound = 0 <= lease.since_ns <= now_ns and lease.since_ns < lease.until_ns <= now_ns + duration_ns
     return lease if sound else None
-
-
-def _id_of(new: NewLease | None) -> str | None:
-    return new.id if new is not None else None
 
 
 def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
@@ -82,7 +78,7 @@ class LeaseService:
     def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
         """The command with the lease it is given under, or the refusal."""
         self.expire(now_ns)
-        found = self._register.admit(request.operator, request.lease, now_ns, _id_of(request.new))
+        found = self._register.admit(request.operator, request.lease, now_ns)
         if isinstance(found, Lease):
             self._save(now_ns)
             return replace(request, lease=found.id)
@@ -94,11 +90,6 @@ class LeaseService:
         if not self._register.is_holder(request.operator, request.lease, now_ns):
             lease = self._register.lease(now_ns)
             self._note(now_ns, Note.HOLD_WITHOUT_LEASE, request.operator, lease.holder if lease else "")
-
-    def id_in_force(self, operator: str, now_ns: int) -> str | None:
-        """Id of the lease in force, if ``operator`` holds it; may be called from any thread."""
-        lease = self._register.lease(now_ns)
-        return lease.id if lease is not None and lease.holder == operator else None
 
     def is_holder(self, operator: str, id_: str | None, now_ns: int) -> bool:
         """Whether both name and id are those of the lease in force; may be called from any thread."""
@@ -131,7 +122,7 @@ class LeaseService:
         operator, id_ = request.operator, request.lease
         found: Lease | Denial | None
         if request.act is LeaseAct.TAKE:
-            found = self._register.take(operator, id_, request.reason, now_ns, _id_of(request.new))
+            found = self._register.take(operator, id_, request.reason, now_ns)
         else:
             found = self._register.give_back(operator, id_, now_ns)
         self._save(now_ns)
@@ -147,22 +138,17 @@ class LeaseService:
         return self.with_lease(request, message, now_ns)
 
     def with_lease(self, request: Request | LeaseRequest, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
-        """An answer with the lease in force, and whether the request proved it; a command carried out renews it.
-
-        A lease that was granted to this request comes with what its client derives the id from.
-        """
+        """An answer with the lease in force; its id is for its holder alone. A command carried out renews it."""
         operator, id_ = request.operator, request.lease
         if message["accepted"] and self._register.renew(operator, id_, now_ns) is not None:
             self._save(now_ns)
         lease = self.shown(now_ns)
         if lease is not None and self._register.is_holder(operator, id_, now_ns):
-            lease["proven"] = True
-            if request.new is not None and request.new.id == id_:
-                lease |= {"nonce": request.new.nonce} | ({"public": request.new.public} if request.new.public else {})
+            lease["id"] = id_
         return message | {"lease": lease}
 
     def shown(self, now_ns: int) -> dict[str, Any] | None:
-        """The lease in force as everyone may see it: its id, which is a key, never leaves the gateway."""
+        """The lease in force as everyone may see it: without its id."""
         lease = self._register.lease(now_ns)
         if lease is None:
             return None
@@ -191,4 +177,4 @@ class LeaseService:
     def _save(self, now_ns: int) -> None:
         # Without the file a lease only ends with this gateway, so a failed write refuses no command.
         with contextlib.suppress(OSError):
-            self._runtime.write_json(IN_FORCE, self._register.lease(now_ns) or {})
+            self._runtime.write_json(IN_FORCE, self._register.lease(now_ns) or {}, 0o600)

@@ -10,6 +10,7 @@ import os
 import re
 import socket
 from dataclasses import dataclass, field
+from typing import TypeVar
 
 import zenoh
 
@@ -26,7 +27,7 @@ REPORT_NS, REPORT_MAX_NS = 10_000_000_000, 3_600_000_000_000  # between two repo
 ADDRESS_NS = 500_000_000  # Zenoh may write a session's address after the refusal of its first message
 GROUPS_MAX, PEERS_MAX = 64, 1024
 LONGEST, BUFFER_BYTES = 65_536, 4 << 20  # a session of one client is 200 lines, each of which takes 1 KiB
-LOCAL = "a process on the gateway's socket"
+LOCAL, UNNAMED = "a process on the gateway's socket", "no certificate"
 
 _JUDGED = re.compile(
     rb"(ThreadId\(\d+\)) zenoh::net::routing::interceptor::access_control: (?:Using cached result: )?([0-9a-f]+)"
@@ -49,6 +50,9 @@ _HANDSHAKES = {
     "fatal alert": "it does not accept the certificate of this rig",
     "corrupt message": "it speaks no TLS",
 }
+
+
+_Some = TypeVar("_Some")
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ class RefusedAccess:
     """Reads lines of Zenoh's log. Pure: time is passed in."""
 
     _judged: dict[bytes, re.Match[bytes]] = field(default_factory=dict)  # thread: its last judgement
-    _names: dict[bytes, str] = field(default_factory=dict)  # session: common name
+    _names: dict[bytes, tuple[str, str]] = field(default_factory=dict)  # session: common name, and what it came by
     _peers: dict[bytes, str] = field(default_factory=dict)  # session: address
     _groups: dict[tuple[Note, str], _Group] = field(default_factory=dict)
 
@@ -96,13 +100,13 @@ class RefusedAccess:
             if b" is unauthorized to " in line and (judged := _JUDGED.search(line)):
                 self._judged[judged[1]] = judged
                 if judged[3] is not None:
-                    found = _COMMON_NAME.search(judged[3].decode(errors="replace"))
-                    _remember(self._names, judged[2], found[1] if found else "")
+                    _remember(self._names, judged[2], _came_by(judged[3].decode(errors="replace")))
             elif (dropped := _DROPPED.search(line)) and (message := self._judged.pop(dropped[1], None)):
                 self._drop(message, now_ns)
             return
         if accepted := _ACCEPTED.search(line):
-            _remember(self._peers, accepted[1], accepted[2].decode(errors="replace"))
+            address = accepted[2].decode(errors="replace")
+            _remember(self._peers, accepted[1], "" if address.startswith("unixsock") else address)
         elif failed := _HANDSHAKE.search(line):
             why = _HINT.sub("", failed[1].decode(errors="replace")).strip()
             known = next((text for part, text in _HANDSHAKES.items() if part in why), "")
@@ -111,12 +115,11 @@ class RefusedAccess:
     def _drop(self, message: re.Match[bytes], now_ns: int) -> None:
         """A message was judged and dropped; without the drop, Zenoh only looked ahead at what it would refuse."""
         session, what = message[2], message[4].decode()
-        certificate = self._names.get(session, "")
+        certificate, other = self._names.get(session, ("", UNNAMED))
         name = certificate.rpartition(".")[0]
-        other = f"certificate {certificate}" if certificate else LOCAL
         key = on_one_line(message[5].decode(errors="replace").removesuffix("\n"))
         newest = (name, other, f"{what.lower()} of {key}")
-        self.add(Note.MESSAGE_REFUSED, f"{what} of {certificate}", newest, now_ns, session)
+        self.add(Note.MESSAGE_REFUSED, f"{what} of {other}", newest, now_ns, session)
 
     def add(self, note: Note, what: str, newest: tuple[str, str, str], now_ns: int, session: bytes = b"") -> None:
         """Take one of the kind ``what``; ``newest``: who, other and text of its note; ``session``: whose it was."""
@@ -147,9 +150,16 @@ class RefusedAccess:
         return found
 
 
-def _remember(known: dict[bytes, str], session: bytes, text: str) -> None:
+def _came_by(subject: str) -> tuple[str, str]:
+    """The certificate of a session in Zenoh's words of it, empty without one; and the certificate or link in ours."""
+    if found := _COMMON_NAME.search(subject):
+        return found[1], f"certificate {found[1]}"
+    return "", LOCAL if "Transport(UnixsockStream)" in subject else UNNAMED
+
+
+def _remember(known: dict[bytes, _Some], session: bytes, value: _Some) -> None:
     known.pop(session, None)
-    known[session] = text
+    known[session] = value
     if len(known) > PEERS_MAX:
         del known[next(iter(known))]
 

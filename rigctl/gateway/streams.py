@@ -10,7 +10,6 @@ import numpy.typing as npt
 import zenoh
 
 from rigctl.gateway.published_position import Cursor
-from rigctl.gateway.signer import Signer
 from rigctl.ipc.notes import note_message
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingReader
@@ -58,11 +57,10 @@ def past_block(reader: RingReader, after: int, stream: int) -> bytes:
 
 
 def declare_publisher(session: zenoh.Session, key: str, **options: Any) -> zenoh.Publisher:
-    """A publisher for clients: the gateway's own subscribers, which look for foreign messages, are none of them."""
+    """A publisher for clients."""
     return session.declare_publisher(
         key,
         congestion_control=zenoh.CongestionControl.DROP,
-        allowed_destination=zenoh.Locality.REMOTE,
         **options,
     )
 
@@ -90,11 +88,8 @@ class Resumption:
 class FastStream:
     """Every record, in blocks."""
 
-    def __init__(
-        self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int, signer: Signer
-    ) -> None:
+    def __init__(self, publisher: zenoh.Publisher, reader: RingReader, cursor: Cursor, now_ns: int) -> None:
         """``reader`` starts at the oldest record held; a cursor of the previous gateway moves it on."""
-        self._signer = signer
         self._publisher, self._reader, self._cursor = publisher, reader, cursor
         self._lost_before = cursor.fast_lost
         self._resumption = Resumption(cursor.fast_listened, now_ns)
@@ -114,7 +109,7 @@ class FastStream:
         cursor.fast_listened = has_subscriber(publisher)
         records = self._reader.read(BACKLOG_SPEED * per_call)
         for payload in blocks_of(records, self._reader, self.lost, cursor.stream):
-            self._signer.publish(publisher, payload)
+            publisher.put(payload)
         cursor.fast_seq, cursor.fast_lost = self._reader.cursor, self.lost
         cursor.save()
 
@@ -140,9 +135,7 @@ class EventStream:
         notes: RingReader,
         cursor: Cursor,
         now_ns: int,
-        signer: Signer,
     ) -> None:
-        self._signer = signer
         self._publishers, self._reader, self._notes, self._cursor = publishers, reader, notes, cursor
         self._resumption = Resumption(cursor.events_listened, now_ns)
         self._worded: list[tuple[str, dict[str, Any]]] | None = None
@@ -175,7 +168,7 @@ class EventStream:
         self._cursor.events_listened = any(map(has_subscriber, self._publishers.values()))
         for severity, message in self._worded:
             payload = msgspec.json.encode(message | {"stream": self._cursor.stream})
-            self._signer.publish(self._publishers[severity], payload)
+            self._publishers[severity].put(payload)
         self._worded = None
         self._cursor.save()
 

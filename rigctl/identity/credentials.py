@@ -78,19 +78,25 @@ def read_private(file: pathlib.Path) -> str:
     """The text of a file that only its owner may read: this user, or root.
 
     Raises:
-        CredentialsError: it cannot be read, is no plain file, or belongs to or is open to others.
+        CredentialsError: it cannot be read, is no plain file or no ASCII text, or belongs to or is open to others.
     """
     try:
         fd = os.open(file, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
         raise CredentialsError(f"{file}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
+    about = os.fstat(fd)
+    if not stat.S_ISREG(about.st_mode):
+        os.close(fd)  # a folder cannot be made a file object
+        raise CredentialsError(f"{file}: found no plain file, expected {_FORM}")
     with os.fdopen(fd, "rb") as opened:
-        about = os.fstat(fd)
-        if not stat.S_ISREG(about.st_mode):
-            raise CredentialsError(f"{file}: found no plain file, expected {_FORM}")
         if about.st_uid not in (os.geteuid(), 0):
             raise CredentialsError(f"{file}: found a file of uid {about.st_uid}, expected one of uid {os.geteuid()}")
         if about.st_mode & 0o077:
             mode = stat.S_IMODE(about.st_mode)
             raise CredentialsError(f"{file}: found mode {mode:04o}, expected 0600: others may read the key (chmod 600)")
-        return opened.read(_LONGEST).decode(errors="replace")
+        try:
+            return opened.read(_LONGEST).decode("ascii")
+        except UnicodeDecodeError as error:
+            raise CredentialsError(
+                f"{file}: found bytes that are no text (at {error.start}), expected {_FORM}"
+            ) from None

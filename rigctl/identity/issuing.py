@@ -13,11 +13,12 @@ from collections.abc import Iterator, Sequence
 
 import msgspec
 
+from rigctl.config.address import HOST_ALLOWED, is_host
 from rigctl.identity import access_file, certificates
 from rigctl.identity.access_file import Certified
 from rigctl.identity.certificates import BACKDATED, IssuedKey
 from rigctl.identity.credentials import Credentials, CredentialsError, read, read_private
-from rigctl.identity.key_folder import AUTHORITY, AUTHORITY_KEY, KeyFolder, KeyFolderError
+from rigctl.identity.key_folder import AUTHORITY, AUTHORITY_KEY, HostError, KeyFolder, KeyFolderError
 from rigctl.identity.roles import GATEWAY_NAME, NAME_ALLOWED, Role, is_name
 from rigctl.ipc import whole_file
 
@@ -28,7 +29,13 @@ _LOCK = ".lock"
 
 def own_hosts() -> list[str]:
     """Names and addresses by which this computer reaches itself, and its host name."""
-    return ["localhost", "127.0.0.1", "::1", socket.gethostname()]
+    return [host for host in ("localhost", "127.0.0.1", "::1", socket.gethostname()) if is_host(host)]
+
+
+def _check_hosts(hosts: Sequence[str]) -> None:
+    for host in hosts:
+        if not is_host(host):
+            raise HostError(f"--host: found {host[:40]!r}, expected {HOST_ALLOWED}")
 
 
 class KeyIssuer:
@@ -55,12 +62,15 @@ class KeyIssuer:
         path = self.folder.path
         try:
             key = read_private(path / AUTHORITY_KEY)
-            return IssuedKey(key, (path / AUTHORITY).read_text())
+            return IssuedKey(key, (path / AUTHORITY).read_text(encoding="ascii"))
+        except UnicodeDecodeError:
+            raise KeyFolderError(f"{path / AUTHORITY}: found bytes that are no text, expected a certificate") from None
         except (CredentialsError, OSError) as error:
             raise KeyFolderError(f"{error} (the authority's key signs; put it back if it is kept elsewhere)") from None
 
-    def _issue(self, name: str, role: Role, days: int, hosts: Sequence[str] = ()) -> tuple[Credentials, Certified]:
-        issuer = self._authority()
+    def _issue(
+        self, issuer: IssuedKey, name: str, role: Role, days: int, hosts: Sequence[str] = ()
+    ) -> tuple[Credentials, Certified]:
         serial = f"{secrets.randbits(_SERIAL_BITS) | 1:016x}"
         start, end = self._now - BACKDATED, self._now + datetime.timedelta(days=days)
         try:
@@ -77,19 +87,26 @@ class KeyIssuer:
         ``hosts``: further names and addresses at which clients reach the gateway.
 
         Raises:
-            KeyFolderError: there is one already, or its place cannot be used.
+            KeyFolderError: there is one already, or its place cannot be used; a host is none (`HostError`).
+            OSError: a file cannot be written; the folder is left without keys.
         """
+        _check_hosts(hosts)
         path = self.folder.path
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
         with self._locked():
             if self.folder.access.exists() or (path / AUTHORITY).exists():
                 raise KeyFolderError(f"{path}: found keys, expected an empty folder: nothing was changed")
             made = certificates.authority(self._now - BACKDATED, self._now + datetime.timedelta(days=AUTHORITY_DAYS))
-            self._write(path / AUTHORITY_KEY, made.key)
-            self._write(path / AUTHORITY, made.certificate)
-            owned, entry = self._issue(GATEWAY_NAME, Role.GATEWAY, days, [*own_hosts(), *hosts])
-            self._write(self.folder.gateway, owned.as_text())
-            self._write(self.folder.access, access_file.encode([entry]))
+            owned, entry = self._issue(made, GATEWAY_NAME, Role.GATEWAY, days, [*own_hosts(), *hosts])
+            files: dict[pathlib.Path, str | bytes] = {
+                path / AUTHORITY_KEY: made.key, path / AUTHORITY: made.certificate,
+                self.folder.gateway: owned.as_text(), self.folder.access: access_file.encode([entry]),
+            }  # fmt: skip
+            with contextlib.ExitStack() as undo:
+                for file, text in files.items():
+                    undo.callback(file.unlink, missing_ok=True)
+                    self._write(file, text)
+                undo.pop_all()
         return entry
 
     def add(self, name: str, role: Role, days: int = PERSON_DAYS, hosts: Sequence[str] = ()) -> Certified:
@@ -98,8 +115,9 @@ class KeyIssuer:
         ``hosts``: names and addresses at which browsers reach a page, beside those of this computer.
 
         Raises:
-            KeyFolderError: the name is not valid or has a valid key, or the folder cannot be used.
+            KeyFolderError: the name is not valid or has a valid key, or the folder cannot be used; a host is none.
         """
+        _check_hosts(hosts)
         if not is_name(name) or name == GATEWAY_NAME:
             raise KeyFolderError(f"found the name {name[:40]!r}, expected {NAME_ALLOWED}, and not {GATEWAY_NAME}")
         with self._locked():
@@ -114,8 +132,9 @@ class KeyIssuer:
         ``hosts``: of the gateway or a page, in place of those of its certificate before.
 
         Raises:
-            KeyFolderError: the name has no key or was revoked, or the folder cannot be used.
+            KeyFolderError: the name has no key or was revoked, or the folder cannot be used; a host is none.
         """
+        _check_hosts(hosts)
         with self._locked():
             entries = self.folder.certificates()
             newest = next((one for one in reversed(entries) if one.name == name), None)
@@ -143,7 +162,7 @@ class KeyIssuer:
             raise KeyFolderError(f"{error}; name the hosts of the page with --host") from None
 
     def _add(self, entries: list[Certified], name: str, role: Role, days: int, hosts: Sequence[str] = ()) -> Certified:
-        owned, entry = self._issue(name, role, days, hosts)
+        owned, entry = self._issue(self._authority(), name, role, days, hosts)
         file = self.folder.gateway if name == GATEWAY_NAME else self.folder.issued(name)
         file.parent.mkdir(mode=0o700, exist_ok=True)
         self._write(file, owned.as_text())

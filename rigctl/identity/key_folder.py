@@ -26,6 +26,10 @@ class KeyFolderError(ValueError):
     """A key folder that cannot be used; ``str()`` is one line that names it."""
 
 
+class HostError(KeyFolderError):
+    """A host for which there can be no certificate; ``str()`` is one line."""
+
+
 class KeyFolder:
     """Reads a key folder."""
 

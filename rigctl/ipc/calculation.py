@@ -1,7 +1,7 @@
 """A calculation in a process of its own, whose libraries load slowly, so that its caller goes on publishing.
 
 The module is run as ``python -m MODULE RUNTIME_DIR WHAT < DATA`` and answers one line of JSON: its result, or
-``{"refused": "why, in one line"}``.
+``{"refused": "why, in one line"}``, with a ``reason`` where its caller has kinds of them.
 """
 
 from __future__ import annotations
@@ -45,5 +45,5 @@ def calculate(
     except (subprocess.SubprocessError, OSError, msgspec.MsgspecError) as error:
         raise refusal(f"{subject} could not be {verb}: {type(error).__name__}") from None
     if "refused" in answer:
-        raise refusal(str(answer["refused"]))
+        raise refusal(str(answer["refused"]), *([answer["reason"]] if "reason" in answer else []))
     return answer

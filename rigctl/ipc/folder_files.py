@@ -1,7 +1,7 @@
 """The small files of a daemon's run-time folder: where each is, and its content if seal and shape are right.
 
-It loads neither rings nor numpy, so that ``rigctl hold`` finds its daemon in milliseconds. The folder as a whole, which
-the daemon makes and its processes enter, is `rigctl.ipc.runtime_folder.Runtime`.
+Their places are in `rigctl.ipc.folder_places`. The folder as a whole, which the daemon makes and its processes enter,
+is `rigctl.ipc.runtime_folder.Runtime`.
 
 A file that other processes read has a shape in ``SHAPES``; a file of another shape is not believed.
 """
@@ -9,22 +9,16 @@ A file that other processes read has a shape in ``SHAPES``; a file of another sh
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import os
-import pathlib
 from typing import Annotated, Any
 
 import msgspec
 
-from rigctl.config import input_file, layout
+from rigctl.config import input_file
 from rigctl.config.built_type import built
-from rigctl.ipc import writers
+from rigctl.ipc.folder_places import ACTIVE, DigestError, FolderPlaces
 
-ACTIVE = "active.json"
 RECORDED = "recorder.json"
 DESIGN = "design.json"
-LOCK = "lock"
-LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
@@ -99,52 +93,8 @@ SHAPES: dict[str, Any] = {
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 
 
-def daemon_pid(folder: pathlib.Path) -> int:
-    """Process of the daemon that runs in a folder, by its lock; 0 without one."""
-    with contextlib.suppress(OSError, ValueError):  # just being deleted, or not written yet
-        pid = int(input_file.read(folder / LOCK, largest=LONGEST_LOCK))
-        if 0 < pid < _LARGEST_PID and _alive(pid):
-            return pid
-    return 0
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        return True
-    return True
-
-
-def digest(data: bytes) -> bytes:
-    """The seal of a file: its SHA-256 as hexadecimal text."""
-    return hashlib.sha256(data).hexdigest().encode()
-
-
-class FolderFiles:
+class FolderFiles(FolderPlaces):
     """The small files of one rig's run-time folder."""
-
-    def __init__(self, directory: str | pathlib.Path, *, shared: bool | None = None) -> None:
-        """``shared``: whether it is the installed service's, which its place shows otherwise."""
-        self.directory = folder = pathlib.Path(directory)
-        self._shared = folder.parent == layout.RUN if shared is None else shared
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether it is the installed service's, whose processes are of several users."""
-        return self._shared
-
-    def place(self, name: str) -> pathlib.Path:
-        """Where a file of this name is: in the folder, or in that of the process that writes it."""
-        folder = writers.FOLDER_OF.get(name) if self._shared else None
-        return self.directory / name if folder is None else self.directory / folder / name
-
-    @property
-    def hold_socket(self) -> pathlib.Path:
-        """Socket on which the hold service takes HOLD from processes of this computer."""
-        return self.place("hold.sock")
 
     def mark(self, name: str) -> tuple[int, ...]:
         """Changes whenever `read_json` of ``name`` may give something else.
@@ -168,11 +118,11 @@ class FolderFiles:
             msgspec.MsgspecError: its checksum is wrong, it is no JSON object, or has another shape than in ``SHAPES``.
         """
         try:
-            data, _, seal = input_file.read(self.place(name)).rstrip(b"\n").rpartition(b"\n")
+            data = self.sealed(name)
         except FileNotFoundError:
             return {}
-        if seal != digest(data):
-            raise msgspec.DecodeError("its content does not give its SHA-256")
+        except DigestError as error:
+            raise msgspec.DecodeError(str(error)) from None
         value: dict[str, Any] = input_file.decoded(data, dict[str, Any])
         if (shape := SHAPES.get(name)) is not None:
             msgspec.convert(value, shape)

@@ -1,7 +1,7 @@
 """How a process joins the run that it belongs to, and when it has to end.
 
-A child of the supervisor gets the folder of its run, and a signal to end. In the installed service gateway, recorder
-and hold service are services of their own, which the supervisor can neither start nor signal, because they run as
+A child of the supervisor gets the folder of its run, and a signal to end. In the installed service gateway and
+recorder are services of their own, which the supervisor can neither start nor signal, because they run as
 other users. Such a process (``--service DIR``) waits until a daemon runs in the folder, and ends when that daemon calls
 `Runtime.end` for it or is gone; the service manager starts it again, and it waits for the next run.
 """
@@ -18,7 +18,9 @@ from collections.abc import Sequence
 import msgspec
 
 from rigctl.config.built_type import built
+from rigctl.ipc.progress import Progress
 from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime, daemon_pid
+from rigctl.ipc.service_manager import Watchdog
 from rigctl.ipc.termination import Termination
 
 SERVICE = "--service"
@@ -45,14 +47,16 @@ class Joined:
         """Whether a service of its own has to end."""
         return self._supervisor is not None and (self.runtime.is_to_end(self._name) or has_ended(self._supervisor))
 
-    def show(self) -> None:
-        """Show the supervisor that this process works.
+    def show(self) -> Progress:
+        """Show the supervisor that this process works; it counts its turns from now on.
 
         Raises:
             OSError: there is no room, or the folder is gone.
         """
+        progress = Progress(self.runtime, self._name)
         shown = Presence(os.getpid(), str(self.runtime.known(ACTIVE).get("run_id", "")))
         self.runtime.write_json(presence_file(self._name), shown, self.runtime.public_mode)
+        return progress
 
 
 @built
@@ -99,7 +103,9 @@ def joined(arguments: Sequence[str], name: str, stop: Termination) -> Joined | N
 
 
 def _next_run(folder: pathlib.Path, name: str, stop: Termination) -> Joined | None:
+    watchdog = Watchdog()
     while not stop.requested:
+        watchdog.feed()
         if (found := _running(folder, name)) is not None:
             stop.also = found.is_over
             return found

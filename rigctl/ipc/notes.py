@@ -27,7 +27,8 @@ class Note(IntEnum):
     TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
     MESSAGE_REFUSED = 66  # operator: name in the certificate; other: certificate and address; reason: message and key
     CONNECTION_REFUSED = 67  # reason: what TLS found
-    FOREIGN_MESSAGE = 68  # reason: what somebody else puts on the rig's keys, without certificates
+    FOREIGN_MESSAGE = 68  # of former versions: the access list refuses all of it now
+    CONNECTION_CLOSED = 69  # operator: name in the certificate; other: who and from where; reason: why
 
 
 _ALARM_WORDS = {
@@ -60,8 +61,10 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
         case Note.MESSAGE_REFUSED:
             return "warning", f"{reason} by {operator or 'nobody known'} ({other}) refused: not allowed"
-        case Note.CONNECTION_REFUSED:
-            return "warning", f"connection of {operator or 'an unknown client'} refused{why}"
+        case Note.CONNECTION_REFUSED | Note.CONNECTION_CLOSED:
+            done = "closed" if kind is Note.CONNECTION_CLOSED else "refused"
+            who = f"{operator} ({other})" if operator and other else operator or other or "an unknown client"
+            return "warning", f"connection of {who} {done}{why}"
         case Note.FOREIGN_MESSAGE:
             return (
                 "warning",

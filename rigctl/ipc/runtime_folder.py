@@ -1,7 +1,7 @@
 """The running daemon's folder in memory: rings, the resolved configuration, and the lock against a second daemon.
 
 ``/dev/shm/rigctl-<rig>/``: ``records events frames commands holds replies notes desk supervision`` (rings),
-``hold.sock`` (takes HOLD from this computer's operators), ``active.json`` (settings, version and design of the run),
+``hold.*`` (the loop's sockets for HOLD of this computer's users), ``active.json`` (settings, version, design),
 ``recorder.json`` (files written by the recorder), ``control.json`` (settings read back by the control process),
 ``calibration.json`` (the cell's zero, scale and due date in force), ``design.json`` (gains exchanged during the run, in
 place of the design in ``active.json``), ``stroke.json`` (the last known stroke at the start of the control process),
@@ -13,8 +13,9 @@ to others (0700), follows no link in it, and makes its files anew (0600). Its pr
 descriptor of the folder that each of them has checked (`Runtime.entered`).
 
 The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may
-be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public_key.json``, and what
-another process than supervisor and loop writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
+be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public.json``, the group
+``rigctl-operator`` opens ``gateway.sock``, and what another process than supervisor and loop writes is in a folder or
+of a group of its own (`rigctl.ipc.writers`).
 
 What reads only the small files uses `rigctl.ipc.folder_files`, which loads no numpy.
 """
@@ -36,7 +37,8 @@ import msgspec
 
 from rigctl.config import layout
 from rigctl.ipc import record, whole_file, writers
-from rigctl.ipc.folder_files import ACTIVE, DESIGN, LOCK, LONGEST_LOCK, RECORDED, FolderFiles, daemon_pid, digest
+from rigctl.ipc.folder_files import DESIGN, RECORDED, FolderFiles
+from rigctl.ipc.folder_places import ACTIVE, GATEWAY_SOCKET, LOCK, LONGEST_LOCK, daemon_pid, digest
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
 if TYPE_CHECKING:
@@ -392,13 +394,24 @@ class Runtime(FolderFiles):
 
     @property
     def gateway_socket(self) -> pathlib.Path:
-        """Socket between the gateway's command session and its router."""
-        return self.place("gateway.sock")
+        """Socket of the gateway's router: for the gateway's command session, and for who may command."""
+        return self.place(GATEWAY_SOCKET)
 
-    def write_json(self, name: str, value: Any, mode: int | None = None, group: int = -1) -> None:
+    def let_operators_connect(self) -> None:
+        """Open the gateway's socket to its user, and of the installed service to the operators' group.
+
+        Raises:
+            OSError: there is none.
+        """
+        group = writers.group_id(writers.OPERATORS) if self._shared else -1
+        if group >= 0:
+            os.chown(self.gateway_socket, -1, group, follow_symlinks=False)
+        self.gateway_socket.chmod(0o600 if group < 0 else 0o660)
+
+    def write_json(self, name: str, value: Any, mode: int | None = None) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.
 
-        ``mode``, ``group``: of the file, else as of all files here.
+        ``mode``: of the file, else as of all files here.
 
         Raises:
             OSError: there is no room, or the folder is gone.
@@ -409,8 +422,6 @@ class Runtime(FolderFiles):
         try:
             fd = os.open(part, whole_file.NEW, 0o600)
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
-                if group >= 0:
-                    os.fchown(fd, -1, group)
                 os.fchmod(fd, self.file_mode if mode is None else mode)
                 data = msgspec.json.encode(value)
                 file.write(data + b"\n" + digest(data) + b"\n")

@@ -17,11 +17,16 @@ class Doing(IntEnum):
     DAEMON_STOPPED = 4  # reason: state of the rig at the end
     PROCESS_STARTED = 5  # reason: its process id
     PROCESS_ENDED = 6  # reason: how it ended, and when it restarts
+    PROCESS_STALLED = 7  # reason: no progress, and what it waits for
+    PROCESS_RESUMED = 8  # reason: after how long
     FOLDER_LOST = 60  # reason: how the runtime folder was lost
 
 
 OVER = frozenset({Doing.DAEMON_REFUSED, Doing.DAEMON_STOPPED})
 """The last notes of a run: nothing is recorded after them."""
+
+
+SUPERVISOR = "supervisor"
 
 
 class Supervision:

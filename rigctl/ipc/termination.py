@@ -12,6 +12,8 @@ from types import FrameType
 
 ENDING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 """Signals that end a process in order: a request to end, Ctrl-C, loss of its terminal."""
+EXIT_STARTS_ANEW = 3
+"""Exit code of the control process after a reset of the silence: the next one brings all devices up again."""
 
 
 def heeded(*numbers: signal.Signals) -> list[signal.Signals]:

@@ -20,10 +20,25 @@ def trusted_folders() -> Iterator[pathlib.Path]:
     """Every run-time folder that this user may believe and enter, in the order of their names."""
     for base in (layout.RUN, layout.SHARED_MEMORY):
         with contextlib.suppress(OSError):
-            owners = {os.geteuid()} | (_service_owners(base) if base == layout.RUN else set())
+            owners = _owners(base)
             for folder in sorted(base.glob("rigctl-*")):
-                if _is_trusted(folder, owners):
-                    yield folder
+                with contextlib.suppress(OSError):
+                    if _is_trusted(folder.lstat(), owners) and os.access(folder, os.X_OK):
+                        yield folder
+
+
+def opened(folder: pathlib.Path) -> int | None:
+    """A descriptor of a run-time folder, by which nobody can put another in its place; None if it is not believed."""
+    with contextlib.suppress(OSError):
+        fd = os.open(folder, os.O_PATH | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+        if _is_trusted(os.fstat(fd), _owners(folder.parent)):
+            return fd
+        os.close(fd)
+    return None
+
+
+def _owners(base: pathlib.Path) -> set[int]:
+    return {os.geteuid()} | (_service_owners(base) if base == layout.RUN else set())
 
 
 def _service_owners(base: pathlib.Path) -> set[int]:
@@ -35,9 +50,6 @@ def _service_owners(base: pathlib.Path) -> set[int]:
     return {found.st_uid} if closed and of_root else set()
 
 
-def _is_trusted(folder: pathlib.Path, owners: set[int]) -> bool:
-    with contextlib.suppress(OSError):
-        found = folder.lstat()
-        closed = not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-        return stat.S_ISDIR(found.st_mode) and found.st_uid in owners and closed and os.access(folder, os.X_OK)
-    return False
+def _is_trusted(found: os.stat_result, owners: set[int]) -> bool:
+    closed = not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(found.st_mode) and found.st_uid in owners and closed

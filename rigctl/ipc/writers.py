@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import grp
 import os
-from dataclasses import dataclass
+from typing import NamedTuple
 
 RINGS = "rings"
 """Folder of all rings: only the daemon's processes enter it."""
@@ -17,8 +17,7 @@ OPERATORS = "rigctl-operator"
 """Group whose members command the installed service."""
 
 
-@dataclass(frozen=True)
-class Writer:
+class Writer(NamedTuple):
     """``group``: of its user; ``rings``, ``files``: names of what it writes, the files in a folder of its name."""
 
     group: str
@@ -28,18 +27,19 @@ class Writer:
 
 WRITERS = {
     "recorder": Writer("rigctl-recorder", files=("recorder.json",)),
-    "hold": Writer("rigctl-hold", rings=("holds",), files=("hold.sock",)),
     "gateway": Writer(
         "rigctl-gateway",
         rings=("commands", "notes", "desk"),
         files=(
-            "gateway.cursor", "gateway.sock", "gateway_key.json", "operator_key.json", "public_key.json", "lease.json",
-            "calibration.json", "design.json",
+            "gateway.cursor", "gateway.sock", "public.json", "public_key.json", "lease.json", "calibration.json",
+            "design.json",
         ),
     ),
 }  # fmt: skip
 """The processes that are services of their own, in the order of their start."""
-FOLDER_OF = {file: name for name, writer in WRITERS.items() for file in (*writer.files, f"{name}.pid.json")}
+FOLDER_OF = {
+    file: name for name, writer in WRITERS.items() for file in (*writer.files, f"{name}.pid.json", f"{name}.progress")
+}
 GROUP_OF = {ring: writer.group for writer in WRITERS.values() for ring in writer.rings}
 
 

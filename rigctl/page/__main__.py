@@ -15,6 +15,8 @@ from pydantic import ValidationError
 from rigctl.config.address import Address, CannotListenError
 from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
+from rigctl.ipc import standard_output
+from rigctl.ipc.progress import Progress
 from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime
 from rigctl.page import certificate
 from rigctl.page.guard import PLAIN_HTTP, Guard
@@ -22,10 +24,10 @@ from rigctl.page.link_socket import path_in
 from rigctl.page.serve import serve
 
 NICENESS = 10  # the page is the least urgent process
-RETRY_S = 2.0
+RETRY_S, TURN_S = 2.0, 0.2
 
 
-def _listen(address: Address) -> socket.socket:
+def _listen(address: Address, progress: Progress) -> socket.socket:
     """A listening socket; while the address is in use, warn once and try again."""
     warned = False
     while True:
@@ -35,7 +37,9 @@ def _listen(address: Address) -> socket.socket:
             if not warned:
                 _print(f"WARNING: page: {error}; it is tried again, the loop is unaffected")
             warned = True
-            time.sleep(RETRY_S)
+            for _ in range(round(RETRY_S / TURN_S)):
+                progress.step()
+                time.sleep(TURN_S)
             continue
         return listening
 
@@ -47,6 +51,7 @@ def _print(text: str) -> None:
 
 def main(arguments: list[str]) -> int:
     """Serve the page of the daemon whose runtime folder is named; returns the exit code."""
+    standard_output.never_wait()
     if len(arguments) != 1:
         sys.stderr.write("usage: python -m rigctl.page RUNTIME_DIR\n")
         return 2
@@ -74,14 +79,23 @@ def main(arguments: list[str]) -> int:
             sys.stderr.write(f"page: {error}\n")
             return 1
     guard = Guard.of(page.address, sign_in=page.sign_in, tls=tls is not None)
-    listening = _listen(page.address)
+    progress = Progress(runtime, "page")
+    listening = _listen(page.address, progress)
     signs_in = "; sign in by a link of rigctl page --link" if guard.needs_links else ""
     _print(f"page: {guard.url} (read-only{signs_in})")
     if tls is None and not page.address.is_loopback:
         _print(f"WARNING: page: {PLAIN_HTTP}")
     named = Runtime(arguments[0])  # the page shows the socket's path
     links = path_in(named.directory, page.address.port)
-    return serve(listening, f"unixsock-stream/{named.gateway_socket}", settings.rig, guard, tls=tls, links=links)
+    return serve(
+        listening,
+        f"unixsock-stream/{named.gateway_socket}",
+        settings.rig,
+        guard,
+        tls=tls,
+        links=links,
+        turn=progress.step,
+    )
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
+from rigctl.config import input_file
 from rigctl.page.chart_frame import frame
 from rigctl.page.chart_signals import SIGNALS
 from rigctl.page.history import WINDOWS_S
@@ -70,7 +71,7 @@ class BrowserStream:
             if message["type"] == "websocket.disconnect":
                 return
             with contextlib.suppress(msgspec.MsgspecError, KeyError, TypeError):
-                wanted = msgspec.json.decode(message.get("text") or b"")["window"]
+                wanted = input_file.decoded((message.get("text") or "").encode())["window"]
                 if wanted in range(len(WINDOWS_S)):
                     self._window, self._since, self._newest_ns = int(wanted), 0, -1
 

@@ -11,9 +11,10 @@ import numpy.typing as npt
 
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import Quality
-from rigctl.metrics.tension_error import error_pct
+from rigctl.wire.trust import DEVICES, doubted_bits
 
 Values = npt.NDArray[np.float64]
+_DOUBTED = {device: np.uint64(doubted_bits(device)) for device in DEVICES}
 _NOT_SEEN = int(Quality.STALE | Quality.INVALID | Quality.NEVER)
 
 
@@ -25,21 +26,30 @@ class ChartSignal:
     of: Callable[[npt.NDArray[Any]], Values]
 
 
+def _not_trusted(records: npt.NDArray[Any], device: str) -> npt.NDArray[np.bool_]:
+    """Where a device's sample is not fresh and valid, or a cause puts it in doubt."""
+    seen: npt.NDArray[np.bool_] = (records[f"{device}_quality"] & _NOT_SEEN) == 0
+    doubted: npt.NDArray[np.bool_] = (records["cause_bits"].astype(np.uint64) & _DOUBTED[device]) != 0
+    return np.logical_or(~seen, doubted)
+
+
 def _seen(field: str, device: str, factor: float = 1.0) -> Callable[[npt.NDArray[Any]], Values]:
-    """A field while its device's sample is fresh and valid; an old value would look like a steady one."""
+    """A field while its device's value is trusted; an old value would look like a steady one."""
 
     def values(records: npt.NDArray[Any]) -> Values:
-        return np.where(records[f"{device}_quality"] & _NOT_SEEN, np.nan, records[field] * factor)
+        return np.where(_not_trusted(records, device), np.nan, records[field] * factor)
 
     return values
 
 
 def _error_pct(records: npt.NDArray[Any]) -> Values:
-    """Vertical error in percent of the target, while COMPENSATING."""
-    target = records["target_n"]
+    """Vertical error in percent of the target, while COMPENSATING; on the way to a new target that of the ramp."""
+    target, tension = records["target_n"], records["tension_n"]
+    cosine = np.where(np.abs(tension) > 1.0, records["vertical_n"] / np.where(tension == 0, 1.0, tension), 1.0)
+    wanted = np.where(records["setpoint_n"] > 0, records["setpoint_n"] * cosine, target)
     known = (records["mode"] == Mode.COMPENSATING) & (target > 0)
-    known &= (records["tension_quality"] & _NOT_SEEN) == 0
-    return np.where(known, error_pct(records["vertical_n"], np.where(known, target, 1.0)), np.nan)
+    known &= ~_not_trusted(records, "tension")
+    return np.where(known, 100.0 * (records["vertical_n"] - wanted) / np.where(known, target, 1.0), np.nan)
 
 
 SIGNALS: tuple[ChartSignal, ...] = (
@@ -56,9 +66,10 @@ SIGNALS: tuple[ChartSignal, ...] = (
 
 
 FIELDS = frozenset(
-    {"vertical_n", "target_n", "stroke_mm", "speed_mm_s", "tangential_rad", "normal_rad", "mode"}
-    | {f"{device}_quality" for device in ("tension", "drive", "inclination")}
-)
+    {"vertical_n", "target_n", "stroke_mm", "speed_mm_s", "tangential_rad", "normal_rad", "mode", "cause_bits",
+     "setpoint_n", "tension_n"}
+    | {f"{device}_quality" for device in DEVICES}
+)  # fmt: skip
 """Fields of a record from which the signals are derived."""
 
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import ipaddress
-import re
 import socket
 import time
 from dataclasses import dataclass
 
 from starlette.datastructures import Headers
 
-from rigctl.config.address import Address
+from rigctl.config.address import Address, names_server
 from rigctl.page.sign_in import SignIn
 
 PLAIN_HTTP = "without a certificate, whoever listens on the network can read along and take over a session"
@@ -59,14 +57,7 @@ class Guard:
 
     def names_us(self, headers: Headers) -> bool:
         """Whether Host is a name of this server, not a foreign name made to point here (DNS rebinding)."""
-        host = _host_of(headers.get("host", ""))
-        if host in {"localhost", self.address.host.lower(), *_this_host()}:
-            return True
-        try:
-            ip = ipaddress.ip_address(host)
-        except ValueError:
-            return False
-        return ip.is_loopback or not self.address.is_loopback
+        return names_server(headers.get("host", ""), self.address)
 
     def is_own_page(self, headers: Headers) -> bool:
         """Whether the request comes from a page of this server, by the browser's Origin header."""
@@ -98,19 +89,3 @@ class Guard:
     def link(self) -> str:
         """A new one-time link. What follows ``#`` stays in the browser: no server or proxy logs it."""
         return f"{self.url}#link={self.sessions.link()}"
-
-
-def _this_host() -> tuple[str, str, str]:
-    """Names of this computer: its full name, that without the domain, and that in the link's domain (RFC 6762).
-
-    The first label in any other domain may belong to anyone. ``--listen NAME:PORT`` allows another name.
-    """
-    name = socket.gethostname().lower()
-    label = name.partition(".")[0]
-    return name, label, f"{label}.local"
-
-
-def _host_of(header: str) -> str:
-    """Host without port, lower case, IPv6 without brackets; empty if it is not valid."""
-    found = re.fullmatch(r"(\[[0-9a-f:.%]+\]|[^:\[\]]+)(:[0-9]{1,5})?", header.lower())
-    return found[1].strip("[]") if found else ""

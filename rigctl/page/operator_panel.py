@@ -5,71 +5,27 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rigctl.config import quantity
 from rigctl.config.quantity import number
-from rigctl.control.checks import Check
-from rigctl.control.events import refusal_text
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Situation, Verb, decide
+from rigctl.wire import state_words as figures
 from rigctl.wire.alarms import Alarm
 from rigctl.wire.operator_view import view
+from rigctl.wire.state_words import held
+from rigctl.wire.trust import DEVICES, doubts
 
-VERBS = (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.DISARM, Verb.RESET, Verb.TARGET)
 
-
-def answers(state: dict[str, Any], alarms: Sequence[Alarm]) -> dict[str, Any]:
+def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") -> dict[str, Any]:
     """What is wrong, what the rig does, what blocks a reset, what to do next, who may walk in."""
-    found = view(state, alarms)
-    causes = [
-        {
-            "fault": cause.fault, "text": cause.text, "value": cause.value, "limit": cause.limit,
-            "since_ms": None if cause.since_ns is None else cause.since_ns / 1e6, "blocks": cause.blocks_reset,
-            "stands": cause.stands,
-        }
-        for cause in found.causes
-    ]  # fmt: skip
-    return {"causes": causes, "does": found.does, "blocks": found.blocks, "next": found.next_step, "entry": found.entry}
-
-
-def possible(state: dict[str, Any], target_range_n: tuple[float, float]) -> dict[str, str]:
-    """By verb: "" for a command that the modes table allows now, else why not, in the words of the refusal.
-
-    What only the loop knows (a slack rope, a drive's own fault) is left to the loop: it refuses then.
-    """
-    try:
-        mode, fault = Mode[str(state.get("mode"))], Fault(state.get("fault_code") or 0)
-    except (KeyError, ValueError):
-        return {verb.name.lower(): "the loop does not run" for verb in VERBS}
-    if not state.get("loop_alive"):
-        return {verb.name.lower(): "the loop does not run" for verb in VERBS}
-    causes = [cause for cause in state.get("causes") or [] if isinstance(cause, dict)]
-    standing = {
-        Fault[str(cause["fault"])]: str(cause.get("text", ""))
-        for cause in causes
-        if cause.get("fault") in Fault.__members__ and cause.get("blocks_reset")
-    }
-    flags = state.get("flag_names", [])
-    known = {
-        Check[name]: words
-        for name, words in ((state.get("preflight") or {}).get("failing") or {}).items()
-        if name in Check.__members__
-    }
-    checks = int(state.get("checks") or 0) if mode is Mode.DISARMED else 0
-    speed = state.get("speed_mm_s")
-    situation = Situation(
-        failed_checks=checks, cause_present=bool(standing), stop_running="stopping" in flags,
-        fault_latched=bool(fault), drive_enabled="drive_enabled" in flags,
-        drive_faulted=bool(checks & Check.DRIVE_FAULT), wanted_n=target_range_n[0],
-        target_min_n=target_range_n[0], target_max_n=target_range_n[1],
-    )  # fmt: skip
-    result = {}
-    for verb in VERBS:
-        refusal = decide(mode, verb, situation).refusal
-        bits = sum(1 << cause for cause in standing) if refusal is Refusal.CAUSE_PRESENT else checks
-        result[verb.name.lower()] = "" if refusal is Refusal.NONE else refusal_text(
-            refusal, verb, mode, bits, fault, target_range_n, float(speed) if isinstance(speed, int | float) else 0.0,
-            known, standing,
-        )  # fmt: skip
-    return result
+    found = view(state, alarms, lock_out)
+    root = found.causes[0] if found.causes else None
+    return {
+        "parts": list(found.parts), "text": found.text, "follows": list(found.follows), "priority": found.priority,
+        "value": root.value if root else "", "limit": root.limit if root else "",
+        "since_ms": None if root is None or root.since_ns is None else root.since_ns / 1e6,
+        "active": root is None or root.stands, "does": found.does, "blocks": found.blocks,
+        "steps": [{"text": step.text, "verb": step.verb} for step in found.steps],
+        "entry": found.entry, "entry_why": found.entry_why,
+    }  # fmt: skip
 
 
 def _age(state: dict[str, Any], name: str) -> float | None:
@@ -78,24 +34,45 @@ def _age(state: dict[str, Any], name: str) -> float | None:
 
 
 def devices(state: dict[str, Any], active: dict[str, Any]) -> list[dict[str, Any]]:
-    """A row for each device and thing at the rig: name, words, age of its newest sample in ms, whether it is bad."""
+    """A row for each device and thing at the rig.
+
+    ``age_ms``: of its newest sample, None where the state itself is old. ``bad``: abnormal now. ``sure``: measured,
+    else inferred from something else.
+    """
     settings = active.get("settings") or {}
-    flags, quality = state.get("flag_names", []), state.get("quality") or {}
-    on = "drive_enabled" in flags
-    rows: list[tuple[str, str, float | None, bool]] = [
-        ("drive", "on" if on else "off", _age(state, "drive"), quality.get("drive", "good") != "good"),
-        ("brake", "open, held by the motor" if on else "closed (drive off)", None, False),
-        ("motor current", number_of(state.get("drive_current_a"), 2, "A"), None, False),
-        ("drive temperature", number_of(state.get("drive_temperature_c"), 0, "deg C"), None, False),
-        *_e_stops(state, settings),
-        *((name, str(quality.get(key, "-")), _age(state, key), quality.get(key, "good") != "good")
+    doubt, quality, alive = doubts(state), state.get("quality") or {}, bool(state.get("loop_alive"))
+    dead = set(DEVICES) <= doubt.keys()
+    rows: list[tuple[str, str, float | None, bool, bool]] = [
+        ("drive", figures.drive(state), None if "drive" in doubt else _age(state, "drive"), "drive" in doubt, True),
+        ("brake", figures.brake(state), None, False, False),
+        ("load", held(state), None, state.get("held_by") == "UNKNOWN", False),
+        *((name, _drive_figure(state, field, digits, unit), None, False, True)
+          for name, field, digits, unit in _OF_DRIVE),
+        *((*row, True) for row in _e_stops(state, settings)),
+        *((name, doubt.get(key, str(quality.get(key, "-"))), _age(state, key), key in doubt, True)
           for name, key in (("tension cell", "tension"), ("inclinometer", "inclination"))),
     ]  # fmt: skip
     load = active.get("bus_load")
     if isinstance(load, int | float):
         errors = int(state.get("error_frames") or 0)
-        rows.append(("bus load", f"{100 * load:.0f} % at worst, {errors} error frames", None, load > 0.8))
-    return [{"name": name, "text": text, "age_ms": age, "bad": bad} for name, text, age, bad in rows]
+        heard = "nothing is heard" if dead else quantity.count(errors, "error frame")
+        rows.append(("bus", f"{heard}; load {100 * load:.0f} % at worst", None, dead, True))
+    return [{"name": name, "text": text, "age_ms": age if alive else None, "bad": bad, "sure": sure}
+            for name, text, age, bad, sure in rows]  # fmt: skip
+
+
+_OF_DRIVE = (("motor current", "drive_current_a", 2, "A"), ("drive temperature", "drive_temperature_c", 0, "deg C"))
+
+
+def _drive_figure(state: dict[str, Any], field: str, digits: int, unit: str) -> str:
+    """What the drive's status carries; not known where nothing valid is heard of the drive."""
+    return "not known" if "drive" in doubts(state) else number_of(state.get(field), digits, unit)
+
+
+def oldest_ms(state: dict[str, Any]) -> float | None:
+    """Age of the oldest of the devices' newest samples: how old the measurements shown are."""
+    ages = [age for device in DEVICES if (age := _age(state, device)) is not None]
+    return max(ages, default=None)
 
 
 def number_of(value: Any, digits: int, unit: str) -> str:
@@ -106,18 +83,27 @@ def number_of(value: Any, digits: int, unit: str) -> str:
 def _e_stops(state: dict[str, Any], settings: dict[str, Any]) -> list[tuple[str, str, None, bool]]:
     """Both inputs of the emergency stop. While armed a pressed one is a fault; before, a check that fails."""
     failing = (state.get("preflight") or {}).get("failing") or {}
+    blind = {str(cause.get("fault")) for cause in state.get("causes") or []} & {"STATUS_STALE", "BUS_SILENT"}
+    unseen = {"drive": bool(blind) or "drive" in doubts(state), "I/O node": "BUS_SILENT" in blind}
     looked_at = state.get("mode") in ("DISARMED", "FAULT")
     pressed = " ".join(str(cause.get("text")) for cause in state.get("causes") or [] if cause.get("fault") == "E_STOP")
-    rows: list[tuple[str, str, None, bool]] = []
-    for name, check, fitted, words in (
+    unnamed = any(cause.get("fault") == "E_STOP" for cause in state.get("causes") or []) and not any(
+        words in pressed for words in unseen
+    )
+    inputs = (
         ("E-stop, drive's input", "E_STOP", (settings.get("cylinder") or {}).get("e_stop_input") is not None, "drive"),
         ("E-stop, I/O node's input", "E_STOP_IO", settings.get("io") is not None, "I/O node"),
-    ):
+    )
+    only = sum(fitted for _, _, fitted, _ in inputs) == 1
+    rows: list[tuple[str, str, None, bool]] = []
+    for name, check, fitted, words in inputs:
         if not fitted:
             rows.append((name, "not fitted", None, False))
-        elif words in pressed or (looked_at and check in failing):
+        elif words in pressed or (looked_at and check in failing) or (unnamed and only):
             rows.append((name, "PRESSED", None, True))
-        elif looked_at and f"{check}_UNSEEN" in failing:
+        elif unnamed:
+            rows.append((name, "not known: one of the inputs is pressed", None, True))
+        elif unseen[words] or (looked_at and f"{check}_UNSEEN" in failing):
             rows.append((name, "not seen", None, True))
         else:
             rows.append((name, "released", None, False))

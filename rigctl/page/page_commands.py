@@ -17,10 +17,12 @@ from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import Denial
-from rigctl.wire.state_words import number
+from rigctl.wire.possible_commands import VERBS as POSSIBLE
+from rigctl.wire.state_words import measured, number
 
 CONFIRM_S = 15.0
-VERBS = ("arm", "tension", "hold", "release", "disarm", "reset", "target")
+VERBS = ("hold", *(verb.name.lower() for verb in POSSIBLE))
+WITH_VALUE = ("target", "carry")
 Answer = dict[str, Any]
 
 
@@ -41,8 +43,8 @@ class Proposal:
 
 def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
     """The effect of a command, in one line."""
-    target, now = number(state.get("target_n"), 1, "N"), number(state.get("tension_n"), 1, "N")
-    stroke = number(state.get("stroke_mm"), 1, "mm")
+    target, now = number(state.get("target_n"), 1, "N"), measured(state, "tension_n", 1, "N")
+    stroke = measured(state, "stroke_mm", 1, "mm")
     match verb:
         case "arm":
             what = f"drive on, brake open, stroke held at {stroke} with {now} on the rope"
@@ -54,6 +56,10 @@ def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
             what = f"drive off, brake closed; {now} stay on rope and brake"
         case "reset":
             what = f"acknowledge {state.get('fault') or 'the fault'}: {state.get('fault_text') or 'its cause is gone'}"
+        case "carry":
+            what = f"drive on; the motor holds {now} for {number(value, 0, 's')}, then lowers it"
+        case "lower":
+            what = f"drive on; the motor lowers {now} until the rope is slack; the stroke moves from {stroke}"
         case _:
             what = f"hold {number(value, 1, 'N')} instead of {target}"
     return f"{verb.upper()}: {what}"
@@ -101,21 +107,29 @@ class PageCommands:
             raise RefusedError(f"found act {act[:40]!r}, expected acknowledge, shelve, unshelve") from None
         return self._ask(lambda client: client.decide_alarm(decision, self.operator, cause, reason, for_s))
 
-    def propose(self, verb: str, value: float | None) -> Answer:
+    def propose(self, verb: str, value: float | None, reason: str = "") -> Answer:
         """Propose a command, to be confirmed by the number ``confirm``; HOLD is given at once.
 
+        Takes the lease first, where this page has none: from another holder only with a ``reason``. Without one the
+        answer names the ``holder``.
+
         Raises:
-            RefusedError: no such command, no lease, no daemon.
+            RefusedError: no such command, no daemon.
         """
         if verb not in VERBS:
             raise RefusedError(f"found the command {verb[:40]!r}, expected {', '.join(VERBS)}")
-        if (value is not None) != (verb == "target"):
-            raise RefusedError("found " + ("no value" if value is None else "a value") + ", expected with target alone")
+        if (value is not None) != (verb in WITH_VALUE):
+            found = "no value" if value is None else "a value"
+            raise RefusedError(f"found {found}, expected with {' and '.join(WITH_VALUE)} alone")
         if verb == "hold":
             return self._hold()
-        if not self._has_id:
-            raise RefusedError(f"{verb.upper()} refused: take the lease first")
         state = self._picture.state or {}
+        if not self.holds_lease(state):
+            taken = self._ask(lambda client: client.take_lease(self.operator, reason))
+            if not taken.get("accepted"):
+                holder = str((state.get("lease") or {}).get("holder", "")) or "somebody else"
+                asks = taken.get("reason") == Denial.HELD.value
+                return taken | ({"holder": holder} if asks else {})
         self._proposal = Proposal(secrets.token_hex(8), verb, value, state.get("mode"), time.monotonic() + CONFIRM_S)
         text = meaning(verb, value, state)
         return {"accepted": True, "confirm": self._proposal.id, "text": text, "for_s": CONFIRM_S}

@@ -5,16 +5,22 @@ from __future__ import annotations
 import time
 from typing import Any
 
+from rigctl.client import local_hold
 from rigctl.page import operator_panel
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
+from rigctl.wire.alarm_words import tally
 from rigctl.wire.alarms import as_message
+from rigctl.wire.possible_commands import not_now, possible
+from rigctl.wire.trust import doubts
 
 _NUMBERS = (
     "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm", "speed_mm_s", "tangential_deg",
     "normal_deg", "tick", "skipped", "wall_ns", "move", "learned_mm_s",
 )  # fmt: skip
 
+_IN_FAULT = ("carry", "lower")
+"""Verbs whose buttons are there in FAULT alone."""
 
 _MINUTE_S = 60
 
@@ -38,6 +44,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
     with picture.lock:
         state, passed, active = picture.state, picture.limits.now, picture.active
         alarms = picture.alarms.rows(state, now_ns)
+        origin = picture.origin.now
         missed = picture.lateness.window(_MINUTE_S)["missed"]
     message: dict[str, Any] = {
         "kind": "state",
@@ -49,22 +56,41 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "server_wall_ms": time.time() * 1000,
         "asked": asked,
     }
-    message["alarms"] = [as_message(row, now_ns) for row in alarms]
+    message["alarms"] = [as_message(row, now_ns) | {"condition": row.condition} for row in alarms]
+    failing = ((state or {}).get("preflight") or {}).get("failing") or {}
+    barred = len(failing) if (state or {}).get("mode") == "DISARMED" else 0
+    message["tally"], message["barred"] = tally(alarms, now_ns, barred), barred
     if state is None:
         return message
-    message["answers"] = operator_panel.answers(state, alarms)
+    message["hold"] = _hold_words(picture, state)
+    message["hold_dead"] = message["hold"] == _HOLD_STOPPED
+    lock_out = str(((active.get("settings") or {}).get("safety") or {}).get("lock_out") or "")
+    message["answers"] = operator_panel.answers(state, alarms, lock_out)
+    message["origin"] = None if origin is None else {"since_ms": origin.since_ns / 1e6, "by": origin.by}
     message |= {"rig": state.get("rig"), "mode": figures.mode(state), "why": figures.why(state)}
     message["causes"] = figures.causes(state)
     refused = [picture.refused] if picture.refused else []
     message |= {"warnings": [*state.get("warnings", []), *refused], "age_ms": state.get("age_ms")}
     message |= {"calibration": figures.calibration(state), "recorder": figures.recorder(state)}
-    message["lease"] = {"text": figures.lease(state) if "lease" in state else "", "mine": holds_lease}
+    held = state.get("lease")
+    message["lease"] = {
+        "text": figures.lease(state) if "lease" in state else "", "mine": holds_lease,
+        "holder": str(held.get("holder", "")) if isinstance(held, dict) else "",
+    }  # fmt: skip
     if state.get("mode") is None:
         return message
+    verbs, shown = possible(state, _target_range(active)), state.get("mode") == "FAULT"
     return message | {
         "values": {name: state.get(name) for name in _NUMBERS},
+        "doubts": doubts(state),
+        "ramping": figures.on_ramp(state),
+        "oldest_ms": operator_panel.oldest_ms(state),
+        "brake": figures.brake(state),
+        "drive": figures.drive(state),
+        "held_by": state.get("held_by"),
+        "not_now": not_now({verb: why for verb, why in verbs.items() if shown or verb not in _IN_FAULT}),
         "flag_names": state.get("flag_names", []),
-        "verbs": operator_panel.possible(state, _target_range(active)),
+        "verbs": verbs,
         "devices": operator_panel.devices(state, active),
         "timing": operator_panel.timing(state, _period_us(active), missed),
         "flags": figures.flags(state),
@@ -79,6 +105,18 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "design": state.get("design"),
         "margins": figures.margins(state),
     }
+
+
+_HOLD_STOPPED = "HOLD does not work: the loop that takes it writes no records. The emergency stop does."
+_HOLD_LOCAL = "HOLD goes to the loop itself, without what is silent: press it, and read its answer."
+_HOLD_FAR = "HOLD goes the way that is silent now: use the emergency stop, or rigctl hold at the rig's computer."
+
+
+def _hold_words(picture: Picture, state: dict[str, Any]) -> str:
+    """Whether HOLD still works, for a display without fresh data."""
+    if not picture.is_silent:
+        return _HOLD_STOPPED if not state.get("loop_alive") else ""
+    return _HOLD_LOCAL if local_hold.folder_of(picture.endpoint, state.get("rig")) is not None else _HOLD_FAR
 
 
 def settings_message(active: dict[str, Any]) -> dict[str, Any]:
@@ -112,6 +150,7 @@ def settings_message(active: dict[str, Any]) -> dict[str, Any]:
         "tangential_deg": rows("tangential_deg"),
         "normal_deg": rows("normal_deg"),
         "target_range_n": [tension.get("target_min_n"), tension.get("target_max_n")],
+        "force_limits_n": [safety.get("tension_low_n"), safety.get("tension_high_n")],
     }  # fmt: skip
 
 
@@ -131,7 +170,16 @@ def events_message(picture: Picture) -> dict[str, Any]:
             "source": event["source"],
             "kind": event["kind"],
             "timing": event["kind"] in _TIMING,
+            "name": _name_of(event),
         }
         for event in events
     ]
     return {"kind": "events", "events": rows}
+
+
+def _name_of(event: dict[str, Any]) -> str:
+    """What a marker on the charts is called: the mode begun, or the fault."""
+    text = str(event["text"])
+    if event["kind"] == "MODE":
+        return text.partition(" -> ")[2].partition(":")[0]
+    return text.removeprefix("trip ").partition(":")[0].partition(" ")[0]

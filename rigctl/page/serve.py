@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import pathlib
 import socket
 import ssl
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NoReturn
 
 import uvicorn
@@ -26,6 +27,7 @@ from rigctl.page.rig_reader import RigReader
 from rigctl.page.server import Page
 
 CLOSE_S = 1  # for browsers to close their connections
+TURN_S = 0.2
 
 
 class _Server(uvicorn.Server):
@@ -37,6 +39,17 @@ class _Server(uvicorn.Server):
         yield
 
 
+def _is_ours(record: logging.LogRecord) -> bool:
+    """Whether a log line is about this server, not about text of a client that is not UTF-8, whose stream it ends."""
+    return record.exc_info is None or not isinstance(record.exc_info[1], UnicodeDecodeError)
+
+
+async def _take_turns(turn: Callable[[], None]) -> None:
+    while True:
+        turn()
+        await asyncio.sleep(TURN_S)
+
+
 def serve(
     listening: socket.socket,
     endpoint: str,
@@ -45,6 +58,7 @@ def serve(
     *,
     tls: ssl.SSLContext | None = None,
     links: pathlib.Path | None = None,
+    turn: Callable[[], None] = lambda: None,
 ) -> NoReturn:
     """Serve until a signal of ``ENDING``, then end the process.
 
@@ -55,6 +69,7 @@ def serve(
         guard: who may read and command.
         tls: for HTTPS.
         links: place of the socket that makes further one-time links; without one there are no others.
+        turn: called five times a second while the server makes progress.
     """
     heap.limit()
     picture, stop = Picture(endpoint), threading.Event()
@@ -86,11 +101,14 @@ def serve(
                 more = await serve_links(links, guard)
             except OSError as error:
                 sys.stderr.write(f"page: no further links: {links}: {error.strerror}\n")
+        turns = asyncio.create_task(_take_turns(turn))
         await server.serve(sockets=[listening])
+        turns.cancel()
         if more is not None and links is not None:
             more.close()
             links.unlink(missing_ok=True)
 
+    logging.getLogger("uvicorn.error").addFilter(_is_ours)
     reader.start()
     try:
         asyncio.run(until_signal())

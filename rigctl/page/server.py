@@ -46,6 +46,7 @@ _OTHER_PAGE = "requests are taken from this server's own page alone"
 class _CommandBody(msgspec.Struct, forbid_unknown_fields=True):
     verb: str
     value: float | None = None
+    reason: str = ""
 
 
 @built
@@ -123,7 +124,7 @@ class Page:
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
             "lease": (_LeaseBody, lambda commands, body: commands.lease(body.act, body.reason)),
             "alarm": (_AlarmBody, lambda commands, body: commands.alarm(body.act, body.cause, body.reason, body.for_s)),
-            "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value)),
+            "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value, body.reason)),
             "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
         }
         self.app = Starlette(

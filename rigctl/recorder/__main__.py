@@ -3,8 +3,10 @@
 import signal
 import sys
 
+from rigctl.ipc import standard_output
 from rigctl.ipc.termination import Termination
 
+standard_output.never_wait()
 stop = Termination(signal.SIGTERM, signal.SIGHUP)  # before the other imports: the daemon may end during them
 
 from rigctl.recorder.recorder_process import main  # noqa: E402

@@ -23,12 +23,13 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
-from rigctl.ipc import heap, ledger
+from rigctl.ipc import heap, ledger, supervision
 from rigctl.ipc.joining import UsageError, joined
+from rigctl.ipc.progress import Stall, StallChange, progress_of, stalled_words
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
-from rigctl.ipc.supervision import OVER, Doing
+from rigctl.ipc.supervision import OVER, SUPERVISOR, Doing
 from rigctl.ipc.termination import Termination
 from rigctl.recorder import audit_host, sealed_head
 from rigctl.recorder.audit_host import AuditHost
@@ -118,6 +119,7 @@ class Recorder:
         self._records = runtime.records.reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
         self._failures = 0  # of the recording, already reported
+        self._supervisor = Stall()
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
     def poll(self, now_ns: int, wall_ns: int, *, final: bool = False) -> None:
@@ -132,6 +134,7 @@ class Recorder:
         self._record(now_ns, wall_ns)
         self._keep_stroke(now_ns, wall_ns, final=final)
         self._watch_host(now_ns, wall_ns)
+        self._watch_supervisor(now_ns, wall_ns)
         self._publish(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
@@ -199,6 +202,18 @@ class Recorder:
                 self.trouble.begins("audit host", why, now_ns)
         elif (gap := self.trouble.ends("audit host", now_ns)) is not None:
             self._add(self._own(now_ns, wall_ns, "written_again", "the log's host could not be reached before", gap))
+
+    def _watch_supervisor(self, now_ns: int, wall_ns: int) -> None:
+        """Note a supervisor without progress, which cannot do so itself."""
+        if (count := progress_of(self._runtime, SUPERVISOR)) is None:
+            return
+        found = self._supervisor.look(now_ns * 1e-9, count, None)
+        if found in (StallChange.STALLED, StallChange.RESUMED):
+            is_over = found is StallChange.RESUMED
+            reason = f"after {self._supervisor.lasted_s:.1f} s" if is_over else stalled_words(None)
+            kind = Doing.PROCESS_RESUMED if is_over else Doing.PROCESS_STALLED
+            what, text = supervision.worded(kind, SUPERVISOR, reason)
+            self._add(self._own(now_ns, wall_ns, what, text, {"process": SUPERVISOR, "reason": reason}))
 
     def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
         return Item(now_ns, wall_ns, what, text, details=details)
@@ -311,11 +326,12 @@ def _settings(runtime: Runtime) -> RigSettings:
     return RigSettings.model_validate(runtime.read_json(ACTIVE).get("settings"))
 
 
-def _serve(recorder: Recorder, stop: Termination, is_gone: Callable[[], bool]) -> None:
+def _serve(recorder: Recorder, stop: Termination, is_gone: Callable[[], bool], turn: Callable[[], None]) -> None:
     """Poll until ``stop``, and then until the supervisor has written its last entry or is gone."""
     until = None
     while True:
         recorder.poll(time.monotonic_ns(), time.time_ns())
+        turn()
         if until is None and stop.requested:
             until = time.monotonic() + LAST_ENTRY_S
         if until is not None and (recorder.over or is_gone() or time.monotonic() > until):
@@ -332,13 +348,13 @@ def main(arguments: Sequence[str], stop: Termination) -> int:
         if (run := joined(arguments, "recorder", stop)) is None:
             return 0
         recorder = Recorder(run.runtime, _settings(run.runtime), time.monotonic_ns(), time.time_ns())
-        run.show()
+        progress = run.show()
     except UsageError as error:
         sys.stderr.write(f"usage: python -m rigctl.recorder {error}\n")
         return 2
     except (OSError, ValidationError, msgspec.MsgspecError, RingError, AuditError, FolderError) as error:
         _say("active.json holds no valid settings" if isinstance(error, ValidationError) else str(error))
         return 1
-    _serve(recorder, stop, run.is_gone)
+    _serve(recorder, stop, run.is_gone, progress.step)
     recorder.close(time.monotonic_ns(), time.time_ns())
     return 0

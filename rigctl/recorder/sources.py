@@ -41,7 +41,7 @@ def _number(slot: np.void, name: str) -> float | None:
 def _event(slot: np.void) -> Words:
     severity, message = event_message(slot, 0)
     numbers = {name: _number(slot, name) for name in ("value", "limit")}
-    details = {"severity": severity, "a": message["a"], "b": message["b"], **numbers}
+    details = {"severity": severity, "a": message["a"], "b": message["b"], **numbers, "about": message["about"]}
     return message["kind"].lower(), "", message["text"], details | _names(slot)
 
 
@@ -57,6 +57,7 @@ _NAMED: dict[int, dict[str, tuple[str, type[IntEnum]]]] = {
     Kind.LIMIT: _TRIPPED,
     Kind.LIMIT_OVER: _TRIPPED,
     Kind.RESET: {"a": ("fault", Fault)},
+    Kind.START_ANEW: {"a": ("fault", Fault)},
 }
 
 

@@ -2,8 +2,9 @@
 
 Accepted commands, trips, changes of mode, the supervisor's actions and kinds not named here are always written; only
 repeats of HOLD and of lease commands become one entry. All others are limited to ``RATE_HZ`` entries and ``RATE_BYTES``
-bytes a second in the long run, after ``BURST`` entries or ``BURST_BYTES`` at once; an entry gives the count of those
-left out.
+bytes a second, after ``BURST`` entries or ``BURST_BYTES`` at once, and to ``DAY_BYTES`` in 24 hours; an entry gives the
+count of those left out. HOLD, which needs neither lease nor key, has limits of its own, so that no other flood keeps an
+operator's HOLD off the log.
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ WINDOW_NS = 10_000_000_000
 WRITTEN_FIRST = 3  # equal items written within a window before the others are only counted
 RATE_HZ, BURST = 20, 2_000
 RATE_BYTES, BURST_BYTES = 16_384, 1 << 20
+DAY_BYTES, DAY_S = 32 << 20, 86_400
+"""At most, in any 24 hours: half of it at once, the other half as it is refilled."""
 SAME_MAX = 512  # keys watched for repeats at a time
 ENTRY_BYTES = 420  # of an entry without its texts: hashes, times, positions of the rings
 
@@ -48,9 +51,10 @@ _SAME: dict[str, tuple[str, ...]] = {
 _REPEATED_VERBS = frozenset(
     {"hold", "lease_take", "lease_return", "alarm_acknowledge", "alarm_shelve", "alarm_unshelve"}
 )
-_COUNTED = frozenset(
-    {*_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed"}
-)
+_COUNTED = frozenset({
+    *_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed",
+    "message_refused", "connection_refused", "connection_closed", "foreign_message",
+})  # fmt: skip
 """Kinds that are counted instead of written beyond the rate."""
 
 
@@ -60,6 +64,39 @@ class _Same:
     last: Item
     count: int = 0  # not written
     written: int = 1
+
+
+_OF_HOLD = frozenset({"local_hold_given", "local_hold", "hold_without_lease"})
+
+
+def _is_hold(item: Item) -> bool:
+    return item.what in _OF_HOLD or item.details.get("verb") == "hold"
+
+
+def _is_counted(item: Item) -> bool:
+    """Whether it is counted instead of written beyond the limits."""
+    return item.what in _COUNTED or _key(item) is not None
+
+
+class _Budget:
+    """Entries and bytes that may be written now: in a burst, in the long run, in a day."""
+
+    def __init__(self) -> None:
+        self._entries, self._bytes, self._day = float(BURST), float(BURST_BYTES), DAY_BYTES / 2
+        self._seen_ns = 0
+
+    def takes(self, size: int, now_ns: int, *, always: bool) -> bool:
+        """Take an entry of ``size`` bytes off; False, and nothing is taken, where it is beyond the limits."""
+        passed_s = max(0, now_ns - self._seen_ns) * 1e-9 if self._seen_ns else 0.0
+        self._seen_ns = now_ns
+        self._entries = min(BURST, self._entries + passed_s * RATE_HZ)
+        self._bytes = min(BURST_BYTES, self._bytes + passed_s * RATE_BYTES)
+        self._day = min(DAY_BYTES / 2, self._day + passed_s * DAY_BYTES / 2 / DAY_S)
+        if not always and (self._entries < 1.0 or min(self._bytes, self._day) < size):
+            return False
+        self._entries = max(0.0, self._entries - 1.0)
+        self._bytes, self._day = max(0.0, self._bytes - size), max(0.0, self._day - size)
+        return True
 
 
 def _key(item: Item) -> tuple[Any, ...] | None:
@@ -84,7 +121,7 @@ class Thinning:
         self._same: dict[tuple[Any, ...], _Same] = {}
         self._left_out: Counter[str] = Counter()
         self._left_out_ns = 0
-        self._entries, self._bytes, self._seen_ns = float(BURST), float(BURST_BYTES), 0
+        self._of_hold, self._others = _Budget(), _Budget()
 
     def thin(self, items: Iterable[Item], now_ns: int, wall_ns: int, *, final: bool = False) -> list[Item]:
         """The items to write, and an item for each count that is due; ``final``: for all counts."""
@@ -108,33 +145,36 @@ class Thinning:
         return True
 
     def _affords(self, item: Item, now_ns: int) -> bool:
-        passed_s = max(0, now_ns - self._seen_ns) * 1e-9 if self._seen_ns else 0.0
-        self._seen_ns = now_ns
-        self._entries = min(BURST, self._entries + passed_s * RATE_HZ)
-        self._bytes = min(BURST_BYTES, self._bytes + passed_s * RATE_BYTES)
-        size = size_of(item)
-        if item.what in _COUNTED and (self._entries < 1.0 or self._bytes < size):
-            self._left_out[item.what] += 1
-            self._left_out_ns = self._left_out_ns or item.t_ns
-            return False
-        self._entries = max(0.0, self._entries - 1.0)
-        self._bytes = max(0.0, self._bytes - size)
-        return True
+        budget = self._of_hold if _is_hold(item) else self._others
+        if budget.takes(size_of(item), now_ns, always=not _is_counted(item)):
+            return True
+        self._leave_out(item.what, 1, item.t_ns)
+        return False
+
+    def _leave_out(self, what: str, count: int, t_ns: int) -> None:
+        self._left_out[what] += count
+        self._left_out_ns = self._left_out_ns or t_ns
 
     def _counts(self, now_ns: int, wall_ns: int, *, final: bool) -> list[Item]:
         found = []
         for key, same in list(self._same.items()):
             if final or now_ns - same.first.t_ns >= WINDOW_NS:
                 del self._same[key]
-                if same.count:
-                    found.append(_repeated(same, now_ns, wall_ns))
+                if not same.count:
+                    continue
+                repeated = _repeated(same, now_ns, wall_ns)
+                budget = self._of_hold if _is_hold(same.last) else self._others
+                if final or budget.takes(size_of(repeated), now_ns, always=False):
+                    found.append(repeated)
+                else:
+                    self._leave_out(same.last.what, same.count, same.first.t_ns)
         if self._left_out and (final or now_ns - self._left_out_ns >= WINDOW_NS):
             entries = quantity.count(self._left_out.total(), "entry", "entries")
             seconds = (now_ns - self._left_out_ns) * 1e-9
             kinds = ", ".join(f"{what} {number}" for what, number in self._left_out.most_common())
             text = (
                 f"{entries} left out in {seconds:.0f} s, more than {RATE_HZ} entries or {RATE_BYTES >> 10} KiB "
-                f"a second: {kinds}"
+                f"a second, or {DAY_BYTES >> 20} MiB a day: {kinds}"
             )
             found.append(Item(now_ns, wall_ns, "left_out", text, details=dict(self._left_out)))
             self._left_out, self._left_out_ns = Counter(), 0

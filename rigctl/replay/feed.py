@@ -11,6 +11,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.control.hold_sockets import Hold
 from rigctl.ipc.record import COMMAND, Flag, FrameFlag
 from rigctl.replay.former_commands import as_of_today
 
@@ -34,7 +35,7 @@ class Tick:
     received: list[can.Message]
     sent: list[tuple[int, bytes]]
     commands: list[tuple[Any, ...]]  # slots without their numbers
-    holds: list[tuple[Any, ...]]  # time, id, user, process
+    holds: list[Hold]
 
 
 def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: tuple[int, int]) -> Iterator[Tick]:
@@ -44,7 +45,7 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
         records: of one control process, from its first.
         frames: of at least the same time.
         commands: slots of the command ring.
-        holds: slots of the ring of holds.
+        holds: slots of the ring of holds, which the loop has taken.
         taken: number of the last command and of the last hold before the first tick.
     """
     woke = records["t_ns"] + records["lateness_ns"]
@@ -56,19 +57,19 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
     ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
     stopping = (records["flags"] & _STOPPING != 0).tolist()
     ordered = _Given(as_of_today(commands), taken[0], tuple(field.name for field in COMMAND.fields))
-    held = _Given(holds, taken[1], ("t_ns", "id", "uid", "pid"))
+    held = _Given(holds, taken[1], ("uid", "pid"))
     upto = zip(records["command_seq"].tolist(), records["hold_seq"].tolist(), strict=True)
     rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, stopping, upto, strict=True)
     for i, (t_ns, woke_ns, ended_ns, missed, failed, stops, (last, last_hold)) in enumerate(rows):
         received, sent, sent_ns = _frames(frames[begins[i] : begins[i + 1]])
         yield Tick(
             t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, stops, received, sent,
-            ordered.upto(last), held.upto(last_hold),
+            ordered.upto(last), [Hold(uid, pid, "") for uid, pid in held.upto(last_hold)],
         )  # fmt: skip
 
 
 class _Given:
-    """Slots of a ring that the loop reads, given out in the ticks in which it took them."""
+    """Slots that the loop has taken, given out in the ticks in which it took them."""
 
     def __init__(self, slots: Slots, taken: int, names: tuple[str, ...]) -> None:
         self._slots, self._names = deque(slots[slots["seq"] > taken]), names

@@ -18,6 +18,7 @@ from rigctl.config.wording import Wording
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
+from rigctl.control.hold_sockets import GivenHolds
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -150,13 +151,13 @@ def play(
     with tempfile.TemporaryDirectory(prefix="rigctl-replay-", dir=_memory()) as folder:
         runtime = Runtime(pathlib.Path(folder))
         runtime.make_rings(settings)
-        clock, bus = RecordedClock(span.started_ns), RecordedBus()
+        clock, bus, holds = RecordedClock(span.started_ns), RecordedBus(), GivenHolds()
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
-            last_stroke=span.last_stroke, process_data=span.process_data, cell_history=span.cell_history,
+            last_stroke=span.last_stroke, process_data=span.process_data, cell_history=span.cell_history, holds=holds,
         )  # fmt: skip
-        replayed, orders, holds = runtime.records.reader(), runtime.commands.writer(), runtime.holds.writer()
+        replayed, orders = runtime.records.reader(), runtime.commands.writer()
         batch: list[Tick] = []
         now: list[list[tuple[int, bytes]]] = []
         at = 0
@@ -164,8 +165,7 @@ def play(
             for tick in ticks(span.records, recording.frames, recording.commands, recording.holds, span.taken):
                 for order in tick.commands:
                     orders.write(*order)
-                for hold in tick.holds:
-                    holds.write(*hold, b"")
+                holds.extend(tick.holds)
                 loop.stop_requested |= tick.stopping
                 clock.begin(tick)
                 bus.begin(tick)

@@ -22,7 +22,7 @@ from rigctl.metrics.error_statistics import ErrorStatistics, error_n, statistics
 from rigctl.metrics.phases import SETTLE_S, JudgedPhase, phases
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recording import Recording
-from rigctl.report import bus, happenings, sensor_budget, spectrum, verdict
+from rigctl.report import bus, culprits, happenings, sensor_budget, spectrum, verdict
 
 NEEDED = (
     "seq", "t_ns", "tick", "skipped", "lateness_ns", "work_ns", "mode", "fault", "tension_n", "tension_quality",
@@ -62,6 +62,8 @@ class Findings:
     bus: bus.Bus
     events: list[happenings.Happening]
     trips: list[happenings.RecordedTrip]
+    culprits: list[culprits.RecordedCulprit]
+    """Of every time that a fault was latched; none where the settings cannot be read."""
     modes: list[happenings.ModeSpan]
     operators: list[str]
     budget: list[sensor_budget.Error]
@@ -123,6 +125,7 @@ def find(recording: Recording) -> Findings:
         bus=bus.bus(records, settings),
         events=happenings.happenings(recording),
         trips=happenings.trips(recording),
+        culprits=culprits.culprits(recording, settings) if settings is not None else [],
         modes=happenings.mode_spans(records),
         operators=happenings.operators(recording),
         budget=_budget(recording, settings, target_n, at_ns) if settings is not None else [],
@@ -260,6 +263,7 @@ def as_dict(found: Findings) -> dict[str, Any]:
             "timing": asdict(found.timing),
             "bus": asdict(found.bus),
             "trips": [{"t": found.utc(trip.t_ns), "reason": trip.reason, "dump": trip.dump} for trip in found.trips],
+            "culprits": [{"t": found.utc(one.t_ns), **one.culprit.as_message()} for one in found.culprits],
             "remarks": found.remarks,
         }
     )  # fmt: skip

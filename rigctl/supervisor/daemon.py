@@ -1,4 +1,4 @@
-"""``rigctl run``: validates, designs, spawns recorder, control, hold service and gateway, and watches them.
+"""``rigctl run``: validates, designs, spawns recorder, control and gateway, and watches them.
 
 The control process starts up while the gains are designed. A process that dies is replaced; a new control process
 comes up DISARMED: drive off, brake closed, the load carried.
@@ -7,6 +7,7 @@ comes up DISARMED: drive off, brake closed, the load carried.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import secrets
 import signal
@@ -14,7 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import FrameType
 from typing import IO, Any
 
@@ -36,11 +37,12 @@ from rigctl.devices.objects import DriveState, drive_state
 from rigctl.ipc import ledger
 from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, AlreadyRunningError, FolderError, Runtime
-from rigctl.ipc.service_manager import notify
-from rigctl.ipc.supervision import Doing, Supervision
-from rigctl.ipc.termination import ENDING, on_signals
+from rigctl.ipc.service_manager import notify, unnotified
+from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
+from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
 from rigctl.supervisor import memory
 from rigctl.supervisor.service_process import ServiceProcess
@@ -48,9 +50,11 @@ from rigctl.supervisor.service_process import ServiceProcess
 POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
 START_LIMIT_S = 20.0
 STOP_LIMIT_S = 5.0
+GAINS_BYTES = 1 << 20
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 LOOPING = 3  # ends in a row above which the message to the operator gives their number
 STABLE_S = 10.0
+LOOK_S = 0.1  # between two looks at the progress of the others
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
 
@@ -62,7 +66,6 @@ class CannotRunError(RuntimeError):
 PROCESSES = {
     "recorder": "rigctl.recorder",
     "control": "rigctl.control",
-    "hold": "rigctl.hold",
     "gateway": "rigctl.gateway.gateway_process",
 }
 """Module of each process that is kept alive, in the order in which they are started."""
@@ -79,6 +82,8 @@ class Child:
     started: float
     failures: int = 0
     retry_at: float | None = None
+    stall: Stall = field(default_factory=Stall)
+    hung: bool = False
 
 
 class Supervisor:
@@ -87,7 +92,7 @@ class Supervisor:
     def __init__(self, settings: RigSettings, say: Callable[[str], None], *, separate_users: bool = False) -> None:
         """``say`` takes the lines of the daemon's log.
 
-        ``separate_users``: recorder, hold service and gateway are services of their own, as of an installed rig.
+        ``separate_users``: recorder and gateway are services of their own, as of an installed rig.
         """
         self.settings = settings
         self._say = say
@@ -103,6 +108,9 @@ class Supervisor:
         self._apart = tuple(apart)
         self._services: dict[str, ServiceProcess] = {}
         self._active: dict[str, Any] = {}
+        self._progress: Progress | None = None
+        self._look_at = 0.0
+        self._stalls: dict[str, Stall] = {}  # of the services
 
     def run(self) -> int:
         """Run until SIGTERM, SIGINT or SIGHUP; returns the exit code.
@@ -122,7 +130,7 @@ class Supervisor:
             records, events = self._make_rings()
             self._start(records)
             while not self._stopping and not self._lost():
-                self._watch()
+                self._watch(records)
                 self._log_events(events)
                 self._feed_watchdog(records)
                 time.sleep(POLL_S)
@@ -141,6 +149,7 @@ class Supervisor:
         try:
             self._runtime.make_rings(self.settings, reserve=True)
             self._supervision = Supervision(self._runtime.supervision.writer())
+            self._progress = Progress(self._runtime, SUPERVISOR, feeds=False)
             return self._runtime.records.reader(), self._runtime.events.reader()
         except OSError as error:
             raise CannotRunError(self._no_room(error)) from None
@@ -310,9 +319,10 @@ class Supervisor:
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
-        process = subprocess.Popen(command, stdin=stdin, start_new_session=True)
+        process = subprocess.Popen(command, stdin=stdin, start_new_session=True, env=unnotified())
         failures = self._children[name].failures if name in self._children else 0
-        self._children[name] = Child(name, process, time.monotonic(), failures)
+        grace_s = START_LIMIT_S + (self.settings.start_up_limit_s if name == "control" else 0.0)
+        self._children[name] = Child(name, process, time.monotonic(), failures, stall=Stall(grace_s))
         memory.apply(memory.SHARES[name], process.pid)
         if name != "control":
             self._keep_off_the_loops_processor(process.pid)
@@ -330,6 +340,8 @@ class Supervisor:
         design = self._active["design"]
         gains = {**design["gains"], **(design.get("schedule") or {})}
         if stdin is not None:
+            with contextlib.suppress(OSError):  # more than a pipe holds at first: a process that hangs does not read it
+                fcntl.fcntl(stdin, fcntl.F_SETPIPE_SZ, GAINS_BYTES)
             with contextlib.suppress(BrokenPipeError):
                 stdin.write(msgspec.json.encode(gains) + b"\n")
                 stdin.flush()
@@ -363,9 +375,10 @@ class Supervisor:
             self._runtime.place(DESIGN).unlink(missing_ok=True)  # of it and the file one is damaged
         self._write_or_warn(ACTIVE, self._active, "")
 
-    def _watch(self) -> None:
+    def _watch(self, records: RingReader) -> None:
         now = time.monotonic()
         self._watch_services(now)
+        self._watch_progress(now, records)
         for child in list(self._children.values()):
             code = child.process.poll()
             if code is None:
@@ -376,6 +389,9 @@ class Supervisor:
                 child.failures += 1
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
+                how = "ended to start all devices up again" if code == EXIT_STARTS_ANEW else how
+                if child.hung:
+                    how = f"hung, without progress and processor time for {HUNG_S:g} s, and was killed"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
                 if child.failures > LOOPING:
                     comes += f" (it has ended {child.failures} times in a row, see what it said)"
@@ -395,6 +411,40 @@ class Supervisor:
                     continue
                 if child.name == "control":
                     self._send_gains()
+
+    def _watch_progress(self, now: float, records: RingReader) -> None:
+        """Report a process without progress, and end a hung one, which is then replaced as one that has ended."""
+        if self._progress is not None:
+            self._progress.step()
+        if now < self._look_at:
+            return
+        self._look_at = now + LOOK_S
+        for child in self._children.values():
+            if child.retry_at is None and child.process.poll() is None:
+                count = records.head if child.name == "control" else progress_of(self._runtime, child.name)
+                if self._judge(child.name, child.stall, now, count, child.process.pid):
+                    child.hung = True
+                    child.process.kill()
+        for service in self._services.values():  # the service manager replaces it by its watchdog
+            if service.pid:
+                stall = self._stalls.setdefault(service.name, Stall())
+                self._judge(service.name, stall, now, progress_of(self._runtime, service.name), service.pid)
+            else:
+                self._stalls.pop(service.name, None)
+
+    def _judge(self, name: str, stall: Stall, now: float, count: int | None, pid: int) -> bool:
+        """Whether the process hangs."""
+        thread = main_thread(pid)
+        found = stall.look(now, count, thread)
+        if found is StallChange.STALLED:
+            words = stalled_words(thread)
+            self._note(Doing.PROCESS_STALLED, name, words)
+            self._say(f"WARNING: {name} process: {words}")
+        elif found is StallChange.RESUMED:
+            words = f"after {stall.lasted_s:.1f} s"
+            self._note(Doing.PROCESS_RESUMED, name, words)
+            self._say(f"{name} process: progress again {words}")
+        return found is StallChange.HUNG
 
     def _log_events(self, events: RingReader) -> None:
         for slot in events.read():

@@ -25,7 +25,6 @@ class Share:
 SUPERVISOR = Share(-800)
 """The loop ends with the supervisor, in order, because it gets a signal when its parent ends."""
 SHARES = {
-    "hold": Share(-850, 512),  # the operator's last path to the loop
     "control": Share(-900),  # -1000 would exempt it even when nothing else is left to end
     "recorder": Share(300, 1024),
     "gateway": Share(500, 1024),  # with one client it takes 200 MiB

@@ -1,8 +1,15 @@
-"""Zenoh's access control of a gateway, from the certificates issued. Default deny. Pure functions of values.
+"""Zenoh's access control of a gateway: what each kind of link may do. Default deny. Pure functions of values.
 
-The gateway's router looks at every message from a link (ingress) and to it (egress). Zenoh knows a certificate by its
-common name, and gives a queryable no name of who asks; so the commands of a person have keys with the person's name,
-and the rules let only that person's certificates use them.
+The gateway's router looks at every message from a link (ingress) and to it (egress). It knows a link's protocol and a
+certificate's common name, and gives a queryable no name of who asks.
+
+- The Unix socket in the run-time folder: the kernel decides who opens it, and who does may read and command.
+- ``tcp``: reads, and gives HOLD. Nothing is known of who is there.
+- ``tls``: the commands of a person have keys with the person's name, and the rules let only that person's certificates
+  use them.
+
+Zenoh applies a rule to a message whose key expression the rule's includes: one with wildcards slips past a rule that
+denies the keys of one rig. Only where routers join is anything of other rigs allowed at all.
 """
 
 from __future__ import annotations
@@ -19,7 +26,7 @@ from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS
 
 READ_TAILS = ("tele/**", "event/**", "events/**", "meta/**", "cfg/**")
-"""Ends of the keys on which a daemon publishes and answers; everyone with a certificate may read them."""
+"""Ends of the keys on which a daemon publishes and answers; everyone who is let in may read them."""
 LIVE_TAIL = "live/**"
 ROLE_OF_VERB = {
     Verb.CALIBRATE: Role.MAINTAINER,
@@ -32,6 +39,8 @@ ROLE_OF_VERB = {
 _ANY_RIG = "*"
 # Without undeclarations and ends of queries: Zenoh lets those pass, or judges them as what they end.
 _LIVENESS = ("liveliness_query", "declare_liveliness_subscriber")
+_STATING = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
+_HOLD = Verb.HOLD.name.lower()
 
 
 def commands_of(role: Role) -> list[str]:
@@ -77,13 +86,31 @@ def _person(rules: _Rules, subject: str, keys: Keys, role: Role) -> None:
     """Reading, and commands under the person's own name."""
     _reader(rules, subject, keys.rig)
     if commands := [keys.command(name) for name in commands_of(role)]:
-        rules.add(subject, "ingress", ["query"], commands)
-        rules.add(subject, "egress", ["reply"], commands)
+        _commands(rules, subject, commands)
+
+
+def _commands(rules: _Rules, subject: str, keys: list[str]) -> None:
+    rules.add(subject, "ingress", ["query"], keys)
+    rules.add(subject, "egress", ["reply"], keys)
+
+
+def _joined(rules: _Rules, subject: str, rig: str) -> None:
+    """Another router at the end of a link: it relays other rigs, and states nothing of this one.
+
+    No query of this rig's keys goes there, whatever is declared with wildcards.
+    """
+    relayed = [*_on(_ANY_RIG, READ_TAILS), *_on(_ANY_RIG, [LIVE_TAIL, "cmd/*"])]
+    own = _on(rig, ["**"])
+    for flow in ("ingress", "egress"):
+        rules.add(subject, flow, [*_STATING, "declare_subscriber", *_LIVENESS], relayed)
+        rules.add(subject, flow, ["query"], [*_on(_ANY_RIG, READ_TAILS), Keys(_ANY_RIG).command(_HOLD)])
+    rules.add(subject, "ingress", _STATING, own, "deny")
+    rules.add(subject, "egress", ["query"], own, "deny")
 
 
 def _own_commands(rules: _Rules, subject: str, keys: Keys) -> None:
     """The gateway's session for commands, on its socket in the run-time folder."""
-    commands, live = [keys.command("*")], _on(keys.rig, [LIVE_TAIL])
+    commands, live = [Keys(keys.rig).command("*"), keys.command("*")], _on(keys.rig, [LIVE_TAIL])
     rules.add(subject, "ingress", ["declare_queryable", "reply"], commands)
     rules.add(subject, "ingress", ["liveliness_token", *_LIVENESS], live)
     rules.add(subject, "egress", ["query", "declare_queryable"], commands)
@@ -98,27 +125,41 @@ def _anyone(rules: _Rules, subject: str) -> None:
     rules.add(subject, "ingress", ["put"], [f"{ROOT}/nothing"], "deny")
 
 
-def access_control(rig: str, certificates: Sequence[Certified], now: datetime.datetime, own_zid: str) -> dict[str, Any]:
+def access_control(
+    rig: str,
+    own_zid: str,
+    certificates: Sequence[Certified] = (),
+    now: datetime.datetime | None = None,
+    *,
+    joins: bool = False,
+) -> dict[str, Any]:
     """The section ``access_control`` of the configuration of this rig's router.
 
-    The socket in the run-time folder is for the rig's own processes: the page reads there, and the gateway's session
-    for commands is the one with the id ``own_zid``. Nobody else has that id before that session is open, and Zenoh
-    takes no second session of an id.
+    ``own_zid``: id of the gateway's own session for commands, which is on the Unix socket too. Nobody else has that id
+    before that session is open, and Zenoh takes no second session of an id.
 
-    ``certificates``: every one issued; those revoked or expired get no rule, so that all their messages are refused.
+    ``certificates``: every one issued, judged at ``now``; those revoked or expired get no rule, so that all their
+    messages are refused. ``joins``: this router joins others.
     """
-    rules = _Rules()
+    rules, read = _Rules(), _ANY_RIG if joins else rig
     _own_commands(rules, "own commands", Keys(rig, "*"))
-    _reader(rules, "own processes", rig)
-    socket = {"link_protocols": ["unixsock-stream"]}
+    _reader(rules, "this computer", read)
+    _commands(rules, "this computer", [Keys(rig).command("*")])  # what is no command is refused in words
+    _reader(rules, "without a name", read)
+    for subject in ("this computer", "without a name"):
+        _commands(rules, subject, [Keys(read).command(_HOLD)])
+    if joins:
+        _joined(rules, "without a name", rig)
     _anyone(rules, "anyone")
+    socket = {"link_protocols": ["unixsock-stream"]}
     subjects: list[dict[str, Any]] = [
         {"id": "own commands", "zids": [own_zid]} | socket,
-        {"id": "own processes"} | socket,
+        {"id": "this computer"} | socket,
+        {"id": "without a name", "link_protocols": ["tcp"]},
         {"id": "anyone", "link_protocols": ["tls"]},
     ]
     for one in certificates:
-        if not one.is_valid(now) or one.role not in PEOPLE:
+        if now is None or not one.is_valid(now) or one.role not in PEOPLE:
             continue
         subject = one.common_name
         subjects.append({"id": subject, "cert_common_names": [subject], "link_protocols": ["tls"]})

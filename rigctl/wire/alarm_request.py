@@ -9,8 +9,7 @@ import msgspec
 
 from rigctl.config.built_type import built
 from rigctl.wire.alarms import LONGEST_SHELF_S, AlarmAct
-from rigctl.wire.command_request import RequestError, decoded, operator_of, refuse_lease
-from rigctl.wire.lease import NewLease
+from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
 
 _LONGEST = 120
 """Letters of a cause or a reason."""
@@ -44,7 +43,6 @@ class AlarmRequest:
     for_s: int = 0
     lease: str | None = None
     run_id: str = ""
-    new: NewLease | None = None
 
     @property
     def command(self) -> str:
@@ -72,5 +70,5 @@ def parse_alarm(act: AlarmAct, payload: bytes | None) -> AlarmRequest:
             raise RequestError(f"found for_s {found.for_s}, expected 1 to {LONGEST_SHELF_S}")
     elif reason or found.for_s:
         raise RequestError(f"found a reason or a time, expected {_ALLOWED[act]}")
-    refuse_lease(found.lease)
-    return AlarmRequest(act, operator_of(found.operator), cause, reason, found.for_s, run_id=found.run_id)
+    lease = lease_of(found.lease)
+    return AlarmRequest(act, operator_of(found.operator), cause, reason, found.for_s, lease, found.run_id)

@@ -14,8 +14,8 @@ STYLE = {Priority.URGENT: "bold red", Priority.HIGH: "bold yellow", Priority.LOW
 
 
 def standing(row: Alarm, now_ns: int) -> str:
-    """What became of an alarm: stands or over, acknowledged, shelved, chattering."""
-    parts = ["stands" if row.stands else "over"]
+    """What became of an alarm: active, latched or cleared, acknowledged, shelved, chattering."""
+    parts = [row.condition]
     if row.acknowledged:
         parts.append("reset" if row.acknowledged == "reset" else f"acknowledged by {row.acknowledged}")
     else:
@@ -40,16 +40,63 @@ def block(row: Alarm, now_ns: int) -> list[str]:
     return [head, f"        {row.text}", f"        -> {row.remedy}"]
 
 
+def listed(rows: Sequence[Alarm], state: dict[str, Any], now_ns: int) -> list[str]:
+    """All alarms in lines: the culprit first, under it those that follow from it, then the others in full."""
+    culprit = culprit_rows(state)
+    if not culprit:
+        return [text for row in rows for text in block(row, now_ns)]
+    lines = [f"{label.upper():<7} {words}" for label, words, _ in culprit]
+    lines += [f"        follows: {line(row, now_ns)}" for row in rows if follows(row, state)]
+    return lines + [text for row in rows if not follows(row, state) for text in block(row, now_ns)]
+
+
 def line(row: Alarm, now_ns: int) -> str:
     """An alarm in one line."""
     return f"{row.priority.name} {row.cause}, {times(row)}, {standing(row, now_ns)}: {row.text}"
 
 
-def alarm_rows(alarms: Sequence[Alarm], now_ns: int) -> list[tuple[str, str, str]]:
-    """Label, words and style of every alarm that is not put aside, and of how many are."""
-    rows = [("alarm", line(row, now_ns), STYLE[row.priority]) for row in alarms if not row.shelved(now_ns)]
+def tally(alarms: Sequence[Alarm], now_ns: int, barred: int = 0) -> str:
+    """How many alarms are active, latched, cleared and shelved, in words; the same wherever they are counted.
+
+    ``barred``: checks that bar arming, which are no alarms.
+    """
+    seen = [row for row in alarms if not row.shelved(now_ns)]
+    numbers = {name: sum(row.condition == name for row in seen) for name in ("active", "latched", "cleared")}
+    numbers["shelved"] = len(alarms) - len(seen)
+    parts = [f"{number} {name}" for name, number in numbers.items() if number]
+    if barred:
+        parts.append(f"{count(barred, 'check')} bar{'s' if barred == 1 else ''} ARM")
+    return ", ".join(parts) or "none"
+
+
+def alarm_rows(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | None = None) -> list[tuple[str, str, str]]:
+    """Label, words and style of every alarm that is not put aside, and of how many are.
+
+    Those that follow from the culprit of ``state`` come first, and say so.
+    """
+    shown = [row for row in alarms if not row.shelved(now_ns)]
+    rows = [("follows", line(row, now_ns), "") for row in shown if follows(row, state)]
+    for row in shown:
+        if not follows(row, state):
+            rows.append(("alarm", line(row, now_ns), STYLE[row.priority] if row.condition != "cleared" else ""))
     shelved = sum(row.shelved(now_ns) for row in alarms)
     return rows + ([("shelved", f"{count(shelved, 'alarm')}: rigctl alarms", "")] if shelved else [])
+
+
+def culprit_rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Label, words and style of the part that is to blame, of the question that decides, and of the first step."""
+    found = state.get("culprit")
+    if not isinstance(found, dict) or not found.get("parts"):
+        return []
+    rows = [("culprit", f"{' or '.join(map(str, found['parts']))}: {found.get('text', '')}", "bold red")]
+    rows += [("decide", str(found["question"]), "bold")] if found.get("question") else []
+    return [*rows, ("first", str(found.get("first", "")), "bold")]
+
+
+def follows(row: Alarm, state: dict[str, Any] | None) -> bool:
+    """Whether an alarm is a consequence of the culprit that the state names."""
+    found = (state or {}).get("culprit")
+    return isinstance(found, dict) and row.cause.partition(" ")[0] in found.get("follows", ())
 
 
 def banner_rows(state: dict[str, Any], view: OperatorView) -> list[tuple[str, str, str]]:
@@ -59,4 +106,4 @@ def banner_rows(state: dict[str, Any], view: OperatorView) -> list[tuple[str, st
         rows.append(("blocks reset", view.blocks, ""))
     if view.next_step:
         rows.append(("next step", view.next_step, "bold" if state.get("fault") else ""))
-    return [*rows, ("entry", view.entry, "")]
+    return [*rows, ("entry", f"{view.entry}: {view.entry_why}", "")]

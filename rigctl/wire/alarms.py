@@ -31,7 +31,7 @@ _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 class Priority(IntEnum):
     """How soon somebody has to act."""
 
-    URGENT = 1  # the rig takes the drive off power, or could do no more
+    URGENT = 1  # the rig commands the drive off, or has nothing stronger left
     HIGH = 2  # the rig holds or ramps down: it is out of service
     LOW = 3  # the rig goes on
 
@@ -70,6 +70,9 @@ class Alarm:
     value: str = ""
     limit: str = ""
     stands: bool = True
+    """Active; else cleared."""
+    latched: bool = False
+    """Cleared, and its fault is still latched until a reset."""
     acknowledged: str = ""
     """Who has acknowledged it; "" for nobody."""
     shelf: Shelf | None = None
@@ -86,7 +89,12 @@ class Alarm:
     @property
     def is_open(self) -> bool:
         """Whether somebody has to look at it still."""
-        return self.stands or not self.acknowledged
+        return self.stands or self.latched or not self.acknowledged
+
+    @property
+    def condition(self) -> str:
+        """In one word: active, latched or cleared."""
+        return "active" if self.stands else "latched" if self.latched else "cleared"
 
 
 # Events that are no trip, with their priority and the fault whose remedy is theirs.
@@ -104,7 +112,7 @@ _OTHERS: dict[str, tuple[Priority, Fault]] = {
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
-_NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|s)\b)?"
+_NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|times|s)\b)?"
 _SHELVED = re.compile(r"(\d{1,6}) s: (.*)", re.DOTALL)
 
 
@@ -152,7 +160,7 @@ def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
         momentary = kind not in ("EMERGENCY", "STROKE")
         return Alarm(cause, priority, text, fault.remedy, at, at, stands=not (momentary or over), onsets_ns=(at,))
     fault, about = fault_of(event.get("a")), str(event.get("about", ""))
-    for prefix in (f"trip {fault.name}: ", f"{fault.name} stands: ", "limit: "):
+    for prefix in (f"trip {fault.name}: ", f"{fault.name} is active: ", "limit: "):
         text = text.removeprefix(prefix)
     action = event.get("b")
     priority = Priority.LOW if kind == "LIMIT" else Priority.HIGH
@@ -222,18 +230,33 @@ class Alarms:
                 self._change(cause, shelf=None)
 
     def rows(self, state: dict[str, Any] | None, now_ns: int) -> list[Alarm]:
-        """Open rows at ``now_ns``, what to look at first first; the newest state says which causes stand."""
+        """Open rows at ``now_ns``, what to look at first first; the newest state says which causes are active.
+
+        The row of the latched fault is before those that follow from it.
+        """
         rows = {cause: row for cause, row in self._rows.items() if row.is_open}
         if state is not None:
             rows = _as_the_state_says(rows, self._rows, state)
+        latched = str((state or {}).get("fault") or "")
         return sorted(
             (row for row in rows.values() if row.is_open),
-            key=lambda row: (row.shelved(now_ns), bool(row.acknowledged), not row.stands, row.priority, -row.last_ns),
+            key=lambda row: (
+                row.shelved(now_ns),
+                bool(row.acknowledged),
+                row.cause.partition(" ")[0] != latched,
+                not row.stands,
+                not row.latched,
+                row.priority,
+                -row.last_ns,
+            ),
         )
 
 
 def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: dict[str, Any]) -> dict[str, Alarm]:
-    """Rows with the causes that a state names, whose event may be missing; trips that it does not name are over."""
+    """Rows with the causes that a state names, whose event may be missing; trips that it does not name are cleared.
+
+    The row of the latched fault stays until the reset. The priority of an active cause is that of its reaction now.
+    """
     causes, wall_ns = state.get("causes"), int(state.get("wall_ns") or 0)
     if state.get("mode") is None or not state.get("loop_alive"):
         since = "" if state.get("age_ms") is None else f" for {state['age_ms'] / 1000:.1f} s"
@@ -243,24 +266,37 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
     if not isinstance(causes, list):
         return rows
     named = {str(cause.get("fault")): cause for cause in causes if isinstance(cause, dict)}
+    latched, why = str(state.get("fault")), str(state.get("fault_text", ""))
     result = {}
-    for name, row in rows.items():
-        tripped = name.partition(" ")[0]
-        is_fault = tripped in Fault.__members__ and row.priority < Priority.LOW
-        result[name] = replace(row, stands=tripped in named) if is_fault else row
+    for name, row in known.items():
+        tripped, _, about = name.partition(" ")
+        is_latched = tripped == latched and why.startswith(about)
+        if name not in rows and not is_latched:
+            continue
+        if tripped in Fault.__members__ and row.priority < Priority.LOW:
+            active = tripped in named
+            result[name] = replace(row, stands=active, latched=is_latched and not active)
+            if active and named[tripped].get("action"):
+                result[name] = replace(result[name], priority=_priority_of(named[tripped]))
+        elif name in rows:
+            result[name] = row
     for name, cause in named.items():
         if any(row.partition(" ")[0] == name for row in result):
             continue
         fault = Fault.__members__.get(name, Fault.NONE)
         at = cause.get("since_wall_ns") or wall_ns
         old = next((row for key, row in known.items() if key.partition(" ")[0] == name), None)
-        urgent = cause.get("action") in ("QUICK_STOP", "POWER_OFF")
         value, limit = (figure(fault, key, cause.get(key)) for key in ("value", "limit"))
         result[name] = replace(old, stands=True) if old is not None else Alarm(
-            name, Priority.URGENT if urgent else Priority.HIGH, str(cause.get("text", "")), fault.remedy, at, at,
+            name, _priority_of(cause), str(cause.get("text", "")), fault.remedy, at, at,
             value=value, limit=limit, onsets_ns=(at,),
         )  # fmt: skip
     return result
+
+
+def _priority_of(cause: dict[str, Any]) -> Priority:
+    """Of a cause of the state, by its reaction."""
+    return Priority.URGENT if cause.get("action") in ("QUICK_STOP", "POWER_OFF", "SILENCE") else Priority.HIGH
 
 
 def as_message(row: Alarm, now_ns: int) -> dict[str, Any]:
@@ -269,7 +305,8 @@ def as_message(row: Alarm, now_ns: int) -> dict[str, Any]:
     return {
         "cause": row.cause, "priority": row.priority.name.lower(), "text": row.text, "remedy": row.remedy,
         "count": row.count, "first_ns": row.first_ns, "last_ns": row.last_ns, "value": row.value, "limit": row.limit,
-        "stands": row.stands, "acknowledged": row.acknowledged or None, "chatters": row.chatters(now_ns),
+        "stands": row.stands, "latched": row.latched, "acknowledged": row.acknowledged or None,
+        "chatters": row.chatters(now_ns),
         "shelved": None if shelf is None
         else {"operator": shelf.operator, "reason": shelf.reason, "until_ns": shelf.until_ns},
     }  # fmt: skip

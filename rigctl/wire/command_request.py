@@ -18,9 +18,10 @@ from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.ipc.hold_socket import HELD, HoldAnswer
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
-from rigctl.wire.lease import ACTS, NewLease
+from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.state_message import ALIVE_NS
 
@@ -35,6 +36,7 @@ _ALLOWED_MORE = {
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
     Verb.MOVE: '{"operator": "NAME", "value": NUMBER}',
+    Verb.CARRY: '{"operator": "NAME", "value": SECONDS}',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true, "creep_s": SECONDS',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.RESPONSE: '{"operator": "NAME"} and "where": "hold" or "compensating"',
@@ -67,14 +69,13 @@ class Request:
     """A command as an operator gives it.
 
     ``value``: target of TARGET or known weight of CALIBRATE in N, stroke of CONFIRM_STROKE in mm,
-    number of a MOVE, else NaN.
+    number of a MOVE, time of a CARRY in s, else NaN.
     ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale, or the creep. ``creep_s``: it records
     the creep for so long, NaN for a mean. ``tight``: IDENTIFY needs a tight rope. ``near_end``: ARM at an end of the
     stroke, to drive away from it. ``where``: RESPONSE only in that mode, hold or compensating; empty for the mode that
     it is in.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
-    ``lease``: id of the lease it is given under, None without one; ``new``: the lease it may be granted. Neither is in
-    the payload: the gateway knows them from the proofs beside it.
+    ``lease``: id of the lease it is given under, None without one.
     ``run_id``: run of the daemon it is meant for, empty for any.
     """
 
@@ -90,7 +91,6 @@ class Request:
     near_end: bool = False
     where: str = ""
     run_id: str = ""
-    new: NewLease | None = None
     creep_s: float = math.nan
 
     @property
@@ -156,15 +156,16 @@ def operator_of(text: str) -> str:
     return operator
 
 
-def refuse_lease(found: Any) -> None:
-    """Refuse a lease in the payload, where everyone on the network could read it.
+def lease_of(found: Any) -> str | None:
+    """The id of a lease that a payload shows, None without one. The message of an error does not show it.
 
     Raises:
-        RequestError: there is one.
+        RequestError: it has not the form of an id.
     """
-    if found is not None:
-        what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
-        raise RequestError(f"found lease: {what}, expected none: a lease is proven, never sent")
+    if found is None or (isinstance(found, str) and is_id(found)):
+        return found
+    what = f"text of {len(found)} letters" if isinstance(found, str) else type(found).__name__
+    raise RequestError(f"found lease: {what}, expected the id from the answer, {2 * ID_BYTES} hexadecimal digits")
 
 
 def parse(verb: Verb, payload: bytes | None) -> Request:
@@ -184,16 +185,20 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
         raise RequestError(f"found no gain file with a name, expected {allowed}")
     if found.where not in ("", *REGULATED):
         raise RequestError(f"found where: {found.where[:40]!r}, expected {' or '.join(REGULATED)}")
-    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE):
+    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY):
         raise RequestError(f"found no value, expected {allowed}")
     for number in (found.value, found.creep_s):
         if number is not None and not math.isfinite(number):
             raise RequestError(f"found value {number}, expected a finite number")
     value = math.nan if found.value is None else found.value
-    if verb is not Verb.HOLD:  # HOLD needs no lease, so one that is sent must not refuse it
-        refuse_lease(found.lease)
+    try:
+        lease = lease_of(found.lease)
+    except RequestError:
+        if verb is not Verb.HOLD:  # HOLD needs no lease, so what is no id must not refuse it
+            raise
+        lease = None
     creep_s = math.nan if found.creep_s is None else found.creep_s
-    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "creep_s": creep_s, "lease": None}
+    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "creep_s": creep_s, "lease": lease}
     return Request(verb, **given)
 
 
@@ -228,7 +233,7 @@ _DONE = {
     Verb.ARM: "armed, {mode}, stroke {stroke}, tension {tension}",
     Verb.TENSION: "ramping to {target}, {mode}",
     Verb.RELEASE: "ramping to slack, {mode}",
-    Verb.HOLD: "stroke held at {stroke}, tension {tension}",
+    Verb.HOLD: HELD,
     Verb.DISARM: "drive off, brake closed, {mode}{latched}",
     Verb.RESET: "fault cleared, {mode}",
     Verb.TARGET: "{newtons}, {mode}",
@@ -237,6 +242,8 @@ _DONE = {
     Verb.IDENTIFY: "excited for {value:.1f} s, {mode}, stroke {stroke}",
     Verb.RESPONSE: "excited for {value:.0f} s, {mode}",
     Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
+    Verb.CARRY: "the motor carries the load for {value:.0f} s and lowers it then, {mode}",
+    Verb.LOWER: "the motor lowers the load until the rope is slack, {mode}",
     Verb.MOVE: "learnt from {value:.0f} moves so far, {mode}",
     Verb.GAINS: "{mode}",
 }
@@ -261,6 +268,13 @@ def refused(name: str, operator: str, reason: str, text: str, **more: Any) -> di
         "accepted": False, "verb": name, "operator": operator, "reason": reason,
         "text": f"{verb} refused: {text}", **more,
     }  # fmt: skip
+
+
+def hold_refused(given: HoldAnswer, operator: str) -> dict[str, Any]:
+    """The answer to a HOLD that the loop has refused on its own socket."""
+    refusal = Refusal(given.reason)
+    text = refusal_text(refusal, Verb.HOLD, Mode[given.mode], given.checks, Fault(given.fault), (0.0, 0.0))
+    return refused("hold", operator, refusal.name.lower(), text)
 
 
 def silent(name: str, operator: str) -> dict[str, Any]:

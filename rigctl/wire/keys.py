@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 ROOT = "rigctl"
 ANY_DAEMON = f"{ROOT}/*/live/daemon"
@@ -10,11 +10,11 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 SEVERITIES = ("info", "warning", "error")
 
 
-@dataclass(frozen=True)
-class Keys:
+class Keys(NamedTuple):
     """Keys of one rig.
 
-    ``person``: name in a certificate, whose keys the commands have; empty without certificates; ``*`` for anyone.
+    ``person``: name in a certificate, whose keys the commands have; empty on the rig's own socket and without
+    certificates; ``*`` for anyone.
     """
 
     rig: str
@@ -62,14 +62,14 @@ class Keys:
         return self._key(f"cmd/{self.person}/{verb}" if self.person else f"cmd/{verb}")
 
     def giver(self, key: str) -> str:
-        """The person whose command a key is; empty without certificates.
+        """The person whose command a key is; empty for a command without one.
 
         Raises:
-            ValueError: it is not the key of one command, of one person and one rig.
+            ValueError: it is not the key of one command, of at most one person and one rig.
         """
         _, _, tail = key.partition(self._key("cmd/"))
         *person, verb = tail.split("/")
-        if len(person) != bool(self.person) or key != Keys(self.rig, *person).command(verb) or "*" in tail:
+        if len(person) > bool(self.person) or key != Keys(self.rig, *person).command(verb) or "*" in tail:
             raise ValueError(key)
         return person[0] if person else ""
 

@@ -1,9 +1,9 @@
 """Who may command the rig: one lease, held by one operator at a time. Pure: time and ids are passed in.
 
-The id proves the operator's name: two terminals of one name are two operators until one proves that it has the id that
-the other got. It is a key: each command is proven with it, and it is never sent (`rigctl.wire.proof`). A lease ends
-when it lapses, when it is returned, or by an explicit takeover with a reason; none of these gives the rig a command.
-HOLD needs no lease and takes none.
+The id proves the operator's name: two terminals of one name are two operators until one shows the id that the other
+got. It is drawn here, sent to its taker alone and shown in the command; it is neither in the state nor on record. A
+lease ends when it lapses, when it is returned, or by an explicit takeover with a reason; none of these gives the rig a
+command. HOLD needs no lease and takes none.
 """
 
 from __future__ import annotations
@@ -35,15 +35,6 @@ class Lease:
     holder: str
     since_ns: int
     until_ns: int
-
-
-@dataclass(frozen=True)
-class NewLease:
-    """A lease that a request may be granted. ``nonce``, ``public``: what the client needs to derive its ``id``."""
-
-    id: str
-    nonce: str
-    public: str = ""
 
 
 class LeaseAct(Enum):
@@ -111,11 +102,8 @@ class LeaseRegister:
             lapsed, self._lease = self._lease, None
             self._on_change(LeaseChange(now_ns, Note.LEASE_LAPSED, lapsed.holder))
 
-    def admit(self, operator: str, id_: str | None, now_ns: int, new_id: str | None = None) -> Lease | Denial:
-        """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it.
-
-        ``new_id``: id of a lease that is taken; without it one is made.
-        """
+    def admit(self, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
+        """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it."""
         if (renewed := self.renew(operator, id_, now_ns)) is not None:
             return renewed
         self.expire(now_ns)
@@ -123,7 +111,7 @@ class LeaseRegister:
             return Denial.HELD
         if id_ is not None:
             return Denial.LAPSED
-        return self._grant(Note.LEASE_TAKEN, operator, now_ns, new_id)
+        return self._grant(Note.LEASE_TAKEN, operator, now_ns)
 
     def renew(self, operator: str, id_: str | None, now_ns: int) -> Lease | None:
         """Extend the holder's lease by its full duration; None for anyone but the holder."""
@@ -133,18 +121,16 @@ class LeaseRegister:
         self._lease = replace(lease, until_ns=now_ns + self._duration_ns)
         return self._lease
 
-    def take(
-        self, operator: str, id_: str | None, reason: str, now_ns: int, new_id: str | None = None
-    ) -> Lease | Denial:
-        """Take the lease; from another holder only with a reason. ``new_id``: see `admit`."""
+    def take(self, operator: str, id_: str | None, reason: str, now_ns: int) -> Lease | Denial:
+        """Take the lease; from another holder only with a reason."""
         if (renewed := self.renew(operator, id_, now_ns)) is not None:
             return renewed
         self.expire(now_ns)
         if self._lease is None:
-            return self._grant(Note.LEASE_TAKEN, operator, now_ns, new_id, reason=reason)
+            return self._grant(Note.LEASE_TAKEN, operator, now_ns, reason=reason)
         if not reason:
             return Denial.HELD
-        return self._grant(Note.LEASE_TAKEN_OVER, operator, now_ns, new_id, self._lease.holder, reason)
+        return self._grant(Note.LEASE_TAKEN_OVER, operator, now_ns, self._lease.holder, reason)
 
     def give_back(self, operator: str, id_: str | None, now_ns: int) -> Denial | None:
         """End the holder's lease before its time; returns None, or why not."""
@@ -157,9 +143,7 @@ class LeaseRegister:
         self._on_change(LeaseChange(now_ns, Note.LEASE_RETURNED, operator))
         return None
 
-    def _grant(
-        self, kind: Note, operator: str, now_ns: int, new_id: str | None, other: str = "", reason: str = ""
-    ) -> Lease:
-        lease = self._lease = Lease(new_id or self._make_id(), operator, now_ns, now_ns + self._duration_ns)
+    def _grant(self, kind: Note, operator: str, now_ns: int, other: str = "", reason: str = "") -> Lease:
+        lease = self._lease = Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)
         self._on_change(LeaseChange(now_ns, kind, operator, other, reason))
         return lease

@@ -8,8 +8,8 @@ from typing import Any
 import msgspec
 
 from rigctl.config.built_type import built
-from rigctl.wire.command_request import RequestError, decoded, operator_of, refuse_lease
-from rigctl.wire.lease import LeaseAct, NewLease
+from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
+from rigctl.wire.lease import LeaseAct
 
 _REASON_LENGTH = 120
 _ALLOWED = {
@@ -35,7 +35,6 @@ class LeaseRequest:
     lease: str | None = None
     reason: str = ""
     run_id: str = ""
-    new: NewLease | None = None
 
     @property
     def command(self) -> str:
@@ -55,5 +54,4 @@ def parse_lease(act: LeaseAct, payload: bytes | None) -> LeaseRequest:
         raise RequestError(f"found reason, expected {_ALLOWED[act]}")
     if len(reason) > _REASON_LENGTH or not reason.isprintable():
         raise RequestError(f"found reason {reason[:80]!r}, expected up to {_REASON_LENGTH} printable letters")
-    refuse_lease(found.lease)
-    return LeaseRequest(act, operator_of(found.operator), reason=reason, run_id=found.run_id)
+    return LeaseRequest(act, operator_of(found.operator), lease_of(found.lease), reason, found.run_id)

@@ -42,6 +42,7 @@ KINDS: dict[Kind, str] = {
     Kind.MODE: "change of mode; a: from, b: to (see modes), value: why, limit: safe frames sent before it",
     Kind.TRIP: "a limit trips; a: fault (see faults), b: action, value and limit in the fault's unit",
     Kind.RESET: "a latched fault was acknowledged; a: fault",
+    Kind.START_ANEW: "a reset of the silence: the loop ends, the next one starts all devices up; a: fault",
     Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code + 65536 x error register, "
     "text: the manufacturer's bytes; a code 0x00xx with register 0 when it is over",
     Kind.NODE_STATE: "state of a device changed; a: node, b: NMT state (CiA 301)",
@@ -50,9 +51,14 @@ KINDS: dict[Kind, str] = {
     Kind.SEND_FAILED: "a frame could not be sent; text: why",
     Kind.STARTED: "the loop runs",
     Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
+    Kind.HOLD_SOCKET_CLOSED: "a user's socket for HOLD is read no more: he sent a descriptor; a: user id, b: process",
     Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
     Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
     Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
+    Kind.NO_MARGINS: "a minute of COMPENSATING gave no margins; a: why (0 other, 1 command limited, 2 ticks skipped, "
+    "3 multisine too weak, 4 multisine not at its level)",
+    Kind.MARGINS_DIFFER: "the sensitivity measured in the last minute is not one of the design's family; value: |S| as "
+    "measured, limit: the nearest predicted",
     Kind.SLACK_ZERO: "zero of the cell on a surely slack rope; a: 1 in force from now on, 0 only seen, b: samples, "
     "value: it in N beside tare and drift, limit: the largest that may be in force",
     Kind.LOAD_STEP: "part of a record of the cell's creep; a: samples, b: temperature of the cell in mK, 0 for not "
@@ -80,6 +86,9 @@ KINDS: dict[Kind, str] = {
     Kind.MOVE: "a marked move begins; a: its number, 0 it has ended, b: moves its table was learnt from",
     Kind.LEARNT: "learnt from a move; a: number, b: moves so far, value: its rms error in N, limit: the first's",
     Kind.NOT_LEARNT: "a move taught nothing; as learnt, text: why; b 0: its table is dropped",
+    Kind.HELD: "what carries the load has changed; a: from, b: to, see held_by, value: longest time in s for which the "
+    "motor holds, 0: hold.park_s, text: the command that needs it, or the mode",
+    Kind.POWER_OFF: "a power off is confirmed, or is not in time; a: see power_off, value: s since the command",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {
@@ -96,6 +105,7 @@ NOTES: dict[Note, str] = {
     "address, reason: message and key",
     Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
     Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
+    Note.CONNECTION_CLOSED: "the gateway closed a connection to keep the places of others; other: who, reason: why",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }
 
@@ -105,7 +115,8 @@ PAYLOAD: Rows = (
         "value",
         "number",
         "",
-        "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm; the number of a move",
+        "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm; the number of a move; "
+        "the time of carry in s",
     ),
     ("shunt", "boolean", "", "calibrate against the shunt"),
     ("adopt", "boolean", "", "calibrate sets the scale, or with creep_s the creep"),
@@ -115,11 +126,13 @@ PAYLOAD: Rows = (
     ("where", "string", "", "response only in that mode: hold or compensating"),
     ("gain_file", "string", "", "text of a gain file"),
     ("name", "string", "", "its name, for the record"),
+    ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
     ("run_id", "string", "", "run of the daemon it is meant for, from the active configuration; any other refuses it"),
 )
 LEASE_PAYLOAD: Rows = (
     ("operator", "string", "", "who asks; required"),
     ("reason", "string", "", "why it is taken over from another"),
+    ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
     ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
 )
 ALARM_PAYLOAD: Rows = (
@@ -127,6 +140,7 @@ ALARM_PAYLOAD: Rows = (
     ("cause", "string", "", "which alarm, as rigctl alarms names it; required"),
     ("reason", "string", "", "why it is shelved"),
     ("for_s", "integer", "s", "how long it is shelved"),
+    ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
     ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
 )
 ANSWER: Rows = (
@@ -141,7 +155,7 @@ ANSWER: Rows = (
     ("t_ns", "integer", "ns", "when the loop answered, CLOCK_MONOTONIC"),
     ("value", "number?", "", "what it is about: target, tension or reading in N; identify, response: s"),
     ("entry", "object", "", "what the calibration ledger was given"),
-    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s, proven; nonce of a new lease"),
+    ("lease", "object?", "", "who holds it: holder, since_ns, until_ns, held_s, left_s; to its holder alone, its id"),
 )
 
 VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
@@ -157,6 +171,8 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
     Verb.RESPONSE: ("excite the plant with a multisine and measure its frequency response", ("where",)),
     Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
+    Verb.CARRY: ("in FAULT the motor carries a load that the brake does not hold, so long", ("value",)),
+    Verb.LOWER: ("in FAULT the motor lowers such a load until the rope is slack", ()),
     Verb.MOVE: ("a move of the mechanism begins; 0: the one under way has ended", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }

@@ -2,18 +2,26 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.quantity import number
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait
+from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
+from rigctl.wire.possible_commands import possible
+from rigctl.wire.state_words import held, mode
+from rigctl.wire.trust import doubts, trusted
+
+KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
+_HALL = "Keep out of the hall."
 
 
 @dataclass(frozen=True)
-class StandingCause:
-    """A cause of a fault. ``since_ns``: wall clock, None where it is not known. ``stands``: else it is only latched."""
+class FaultCause:
+    """A cause of a fault. ``since_ns``: wall clock, None where it is not known. ``stands``: active, else latched."""
 
     fault: str
     text: str
@@ -26,53 +34,91 @@ class StandingCause:
 
 
 @dataclass(frozen=True)
-class OperatorView:
-    """One state as it is to be told. ``entry``: whether somebody may walk in, the first word NO or CHECK."""
+class Instruction:
+    """Something to do next: a thing in the hall, or the command whose button is ``verb``."""
 
-    causes: tuple[StandingCause, ...]
+    text: str
+    verb: str = ""
+
+
+@dataclass(frozen=True)
+class OperatorView:
+    """One state as it is to be shown.
+
+    ``parts``: what is named first: one or two parts of the rig, else the fault. ``text``: it in a sentence.
+    ``follows``: further alarms that are active or latched. ``steps``: what to do, the first one safe.
+    ``entry``: `KEEP_OUT` or `LOCK_OUT_FIRST`; ``entry_why``: why, or what is to be locked out.
+    """
+
+    causes: tuple[FaultCause, ...]
     does: str
     blocks: str
-    next_step: str
+    steps: tuple[Instruction, ...]
     entry: str
+    entry_why: str
+    parts: tuple[str, ...] = ()
+    text: str = ""
+    follows: tuple[str, ...] = ()
+    priority: str = ""
+
+    @property
+    def next_step(self) -> str:
+        """The steps in one line, numbered."""
+        return "  ".join(f"{count} {step.text}" for count, step in enumerate(self.steps, 1))
 
 
+_NOT_SHOWN = (PowerOff.AWAITED.name, PowerOff.UNCONFIRMED.name)
 _DOES = {
-    "DISARMED": "drive off, brake closed: nothing is driven",
-    "HOLD": "holds the stroke under power",
+    "DISARMED": "the drive is off; {held}",
+    "HOLD": "holds the stroke: {held}",
     "TENSIONING": "ramps the tension up to {target}",
     "COMPENSATING": "keeps the tension at {target}: the stroke moves by itself",
     "RELEASING": "lowers the tension until the rope is slack, then holds",
+    "FAULT": "stroke to be held: {held}",
 }
+_SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
+_RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
 
 
-def view(state: dict[str, Any], alarms: Sequence[Alarm] = ()) -> OperatorView:
+def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = "") -> OperatorView:
     """The view of a state message; of one without a record only that nothing is known.
 
     ``alarms``: rows as of now, which know since when a latched fault is there whose cause is gone.
+    ``lock_out``: ``safety.lock_out`` of the rig file.
     """
     if state.get("mode") is None or not state.get("loop_alive"):
-        step = "rigctl doctor; look at the daemon's log, and start it anew"
-        return OperatorView((), "not known: the loop writes no records", "", step, "NO: what the rig does is not known")
-    causes = _causes(state, alarms)
-    flags = state.get("flag_names", [])
-    return OperatorView(causes, _does(state, flags), _blocks(state, causes, flags), _next(state, causes),
-                        _entry(state, flags))  # fmt: skip
+        steps = (
+            Instruction(_HALL), Instruction("If the load moves: press the emergency stop."),
+            Instruction("At the rig's computer: rigctl doctor, then start the daemon anew."),
+        )  # fmt: skip
+        return OperatorView((), "not known: the loop writes no records", "", steps, KEEP_OUT,
+                            "what the rig does is not known", (mode(state),), "the loop writes no records")  # fmt: skip
+    causes, flags = _causes(state, alarms), state.get("flag_names", [])
+    verbs = possible(state)
+    entry, why = _entry(state, flags, lock_out)
+    parts, text, follows, priority = _headline(state, causes, alarms)
+    return OperatorView(causes, _does(state, flags), _blocks(state, causes, flags),
+                        _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, follows,
+                        priority)  # fmt: skip
 
 
-def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[StandingCause, ...]:
-    """Causes that stand, and the latched fault where its own cause is gone; none without a latched fault."""
+def _active(state: dict[str, Any]) -> list[dict[str, Any]]:
+    found = state.get("causes")
+    return [cause for cause in found if isinstance(cause, dict)] if isinstance(found, list) else []
+
+
+def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[FaultCause, ...]:
+    """Active causes, and the latched fault where its own cause is gone; none without a latched fault."""
     latched = state.get("fault")
     if not latched:
         return ()
-    raw = state.get("causes")
-    found = [cause for cause in raw if isinstance(cause, dict)] if isinstance(raw, list) else []
     result = []
-    for cause in found:
+    for cause in _active(state):
         name = str(cause.get("fault", ""))
         fault, since = Fault.__members__.get(name, Fault.NONE), cause.get("since_wall_ns")
         value, limit = (figure(fault, key, cause.get(key), str(cause.get("text", ""))) for key in ("value", "limit"))
         result.append(
-            StandingCause(
+            FaultCause(
                 name,
                 str(cause.get("text", "")),
                 value,
@@ -86,8 +132,8 @@ def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[StandingCau
         fault = Fault.__members__.get(str(latched), Fault.NONE)
         row = _row_of(str(latched), str(state.get("fault_text", "")), alarms)
         value, limit, since = (row.value, row.limit, row.last_ns) if row is not None else ("", "", None)
-        result.append(StandingCause(str(latched), str(state.get("fault_text", "")), value, limit, since, False,
-                                    fault.remedy, stands=False))  # fmt: skip
+        result.append(FaultCause(str(latched), str(state.get("fault_text", "")), value, limit, since, False,
+                                 fault.remedy, stands=False))  # fmt: skip
     return tuple(result)
 
 
@@ -98,51 +144,142 @@ def _row_of(fault: str, text: str, alarms: Sequence[Alarm]) -> Alarm | None:
     return max(own, key=lambda row: row.last_ns, default=None)
 
 
+def _headline(
+    state: dict[str, Any], causes: tuple[FaultCause, ...], alarms: Sequence[Alarm]
+) -> tuple[tuple[str, ...], str, tuple[str, ...], str]:
+    """What is named first, in words; the alarms that follow from it; its priority."""
+    if not causes:
+        return (), "", (), ""
+    root = causes[0]
+    row = _row_of(root.fault, root.text, alarms)
+    rows = [alarm.cause for alarm in alarms if (alarm.stands or alarm.latched) and alarm is not row]
+    follows = rows if alarms else list(dict.fromkeys(cause.fault for cause in causes if cause.fault != root.fault))
+    culprit = state.get("culprit")
+    culprit = culprit if isinstance(culprit, dict) else {}
+    named = culprit.get("parts")
+    parts = tuple(str(part) for part in named[:2]) if isinstance(named, list) and named else (root.fault,)
+    aged = root.text and Trait.AGE in Fault.__members__.get(root.fault, Fault.NONE).traits
+    text = str(culprit.get("text") or (f"{root.text} at the trip" if aged else root.text))  # it goes on getting older
+    return parts, text, tuple(follows), row.priority.name if row is not None else ""
+
+
 def _does(state: dict[str, Any], flags: list[str]) -> str:
-    mode = str(state["mode"])
-    if mode == "FAULT":
-        if "drive_enabled" in flags:
-            return "stops the drive, then takes it off power" if "stopping" in flags else "holds the stroke under power"
-        return "drive off, brake closed: nothing is driven"
-    if mode == "DISARMED" and "arming" in flags:
+    mode_name = str(state["mode"])
+    if "drive" in doubts(state):
+        return "not known: nothing valid is heard of the drive"
+    if mode_name == "FAULT" and "stopping" in flags and "drive_enabled" in flags:
+        return "stops the drive, then takes it off power"
+    if mode_name == "DISARMED" and "arming" in flags:
         return "checks before arming; then the drive comes on"
     target = state.get("target_n")
-    words = _DOES.get(mode, mode).format(target=number(target, 1, "N") if isinstance(target, int | float) else "-")
-    return f"{words}; then FAULT" if mode == "RELEASING" and state.get("fault") else words
+    words = _DOES.get(mode_name, mode_name).format(
+        target=number(target, 1, "N") if isinstance(target, int | float) else "-", held=held(state)
+    )
+    return f"{words}; then FAULT" if mode_name == "RELEASING" and state.get("fault") else words
 
 
-def _blocks(state: dict[str, Any], causes: tuple[StandingCause, ...], flags: list[str]) -> str:
+def _blocks(state: dict[str, Any], causes: tuple[FaultCause, ...], flags: list[str]) -> str:
     """What keeps a reset from being accepted; "" without a latched fault."""
     if not state.get("fault"):
         return ""
     blocking = [cause.fault for cause in causes if cause.stands and cause.blocks_reset]
     if "stopping" in flags:
         blocking.append("the drive is still stopping")
-    return ", ".join(blocking) if blocking else "nothing: a reset is accepted"
+    if state["mode"] == "RELEASING":
+        blocking.append("the tension is being lowered first")
+    if blocking:
+        return ", ".join(dict.fromkeys(blocking))
+    active = list(dict.fromkeys(cause.fault for cause in causes if cause.stands))
+    return f"nothing, but {', '.join(active)} is active and may trip again" if active else "nothing: RESET is accepted"
 
 
-def _next(state: dict[str, Any], causes: tuple[StandingCause, ...]) -> str:
+def _steps(
+    state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str], entry: str, lock_out: str
+) -> tuple[Instruction, ...]:
+    """What to do, in order: the first step is safe, and each is a thing in the hall or a button that is there."""
     if state.get("fault"):
-        first = next((cause for cause in causes if cause.stands and cause.blocks_reset), None)
-        if first is not None:
-            return _then_reset(first.remedy)
-        if not any(cause.stands for cause in causes):
-            return f"Reset: no cause stands any more. Before that: {causes[0].remedy}"
-        return _then_reset(causes[0].remedy)
-    failing = ((state.get("preflight") or {}).get("failing") or {}) if state["mode"] == "DISARMED" else {}
-    return f"Before arming: {next(iter(failing.values()))}" if failing else ""
+        return _after_fault(state, causes, verbs, entry, lock_out)
+    mode_name = str(state["mode"])
+    if mode_name == "DISARMED":
+        failing = list(((state.get("preflight") or {}).get("failing") or {}).values())
+        barred = [Instruction(f"{_sentence(words)}") for words in failing[:2]]
+        if len(failing) > 2:
+            barred.append(Instruction(f'See {len(failing) - 2} more under "before arming".'))
+        clears = [Instruction("RESET clears the drive's own fault.", "reset")] if not verbs["reset"] else []
+        ready = "ARM." if not verbs["arm"] else "ARM, once nothing bars it."
+        return (Instruction("See that the hall is empty."), *barred, *clears, Instruction(ready, "arm"))
+    if mode_name == "HOLD":
+        return Instruction("See that the hall is empty."), Instruction("TENSION, or RELEASE, or DISARM.", "tension")
+    last = (Instruction("RELEASE ends the run.", "release"),) if not verbs["release"] else ()
+    return Instruction(_HALL), Instruction("HOLD stops the stroke at any time.", "hold"), *last
 
 
-def _then_reset(remedy: str) -> str:
-    return remedy if "reset" in remedy else f"{remedy} Then reset."
+def _after_fault(
+    state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str], entry: str, lock_out: str
+) -> tuple[Instruction, ...]:
+    steps = []
+    culprit = state.get("culprit")
+    culprit = culprit if isinstance(culprit, dict) else {}
+    if state.get("power_off") == PowerOff.UNCONFIRMED.name:
+        steps.append(
+            Instruction("Press the emergency stop and secure the load: nothing shows that the drive has no power.")
+        )
+    elif culprit.get("first"):
+        steps.append(Instruction(_sentence(str(culprit["first"]))))
+    name = lock_out or "the drive"
+    if not steps and "drive" in doubts(state):
+        steps.append(Instruction(f"Keep out. To go in: emergency stop, lock out {name}."))
+    elif not steps:
+        steps.append(Instruction(_HALL if entry == KEEP_OUT else f"Before walking in, lock out {name}."))
+    if culprit.get("question"):
+        steps.append(Instruction(_sentence(str(culprit["question"]))))
+    root = next((cause for cause in causes if cause.stands and cause.blocks_reset), causes[0])
+    if root.remedy and not culprit.get("first"):  # the remedy of a symptom leads to the wrong part
+        steps.append(Instruction(_sentence(_RESET_SAID.sub("", root.remedy).rstrip("."))))
+    slips = any(cause.fault in _SLIPPING for cause in causes)
+    if slips and not verbs["lower"]:
+        steps.append(Instruction("LOWER has the motor lower the load.", "lower"))
+    if entry == LOCK_OUT_FIRST:
+        steps.append(Instruction("See that the hall is empty; take the lock-out off."))
+    return *steps, Instruction(_reset(state, causes), "reset")
 
 
-def _entry(state: dict[str, Any], flags: list[str]) -> str:
+def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> str:
+    """The reset as a step, and when it is one."""
+    blocking = list(dict.fromkeys(cause.fault for cause in causes if cause.stands and cause.blocks_reset))
+    if blocking:
+        silent = any(Trait.DEVICE_SILENT in Fault[name].traits for name in blocking if name in Fault.__members__)
+        gone = (
+            f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {len(blocking) - 1} more are gone"
+        )
+        return f"RESET, once {gone}{'; else start the daemon anew' if silent else ''}."
+    if state["mode"] == "RELEASING":
+        return "RESET, once the rope is slack."
+    if "stopping" in state.get("flag_names", []):
+        return "RESET, once the drive has stopped."
+    if any(cause.stands for cause in causes):
+        return "RESET; the fault may trip again."
+    return "RESET."
+
+
+def _sentence(words: str) -> str:
+    """Words as a sentence."""
+    return f"{words[:1].upper()}{words[1:]}" + ("" if words[-1:] in ".?!" else ".")
+
+
+def _entry(state: dict[str, Any], flags: list[str], lock_out: str) -> tuple[str, str]:
     """No promise of safety: the lock-out at the rig makes it safe, not this program."""
-    if (state.get("quality") or {}).get("drive", "good") != "good":
-        return "NO: nothing valid is heard of the drive"
+    if "drive" in doubts(state):
+        return KEEP_OUT, "nothing valid is heard of the drive"
     if "drive_enabled" in flags:
-        return "NO: the drive is on, the stroke may move at any time"
-    tension = state.get("tension_n")
-    carries = number(tension, 1, "N") if isinstance(tension, int | float) else "an unknown tension"
-    return f"CHECK: the drive is off, rope and brake carry {carries}; lock the drive out first"
+        return KEEP_OUT, "the drive is on, the stroke may move at any time"
+    named = {str(state.get("fault")), *(str(cause.get("fault")) for cause in _active(state))}
+    if named & _SLIPPING:
+        return KEEP_OUT, f"the brake does not hold the load: {held(state)}"
+    unsafe = isinstance(state.get("slack_s"), int | float) or state.get("power_off") in _NOT_SHOWN
+    if state.get("held_by") not in ("BRAKE", None) or unsafe:
+        return KEEP_OUT, held(state)
+    tension = trusted(state, "tension_n")
+    carries = number(tension, 1, "N") if tension is not None else "an unknown tension"
+    name = lock_out or "the drive; its lock-out has no name (safety.lock_out)"
+    return LOCK_OUT_FIRST, f"{name}: rope and brake carry {carries}"

@@ -15,10 +15,11 @@ from rigctl.identity.credentials import Credentials
 MESSAGE_BYTES = 1 << 16
 """The longest message the daemon accepts: a command has at most 16 KiB, and fragments are collected in memory."""
 _RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the events held are up to 3 MB
-_SESSIONS_MAX = 128  # a control room has ten; each costs the gateway 50 states and blocks a second
-# Half-open connections: each costs a few KiB until accept_timeout closes it. The limit is high so that a proper client
-# still gets a place among a flood of them.
-_ACCEPTING_MAX = 512
+# Who gets which place is decided in `rigctl.gateway.places`. Zenoh knows only one number for all clients, which has to
+# be above what can come between two looks of the gateway at its connections.
+_SESSIONS_MAX = 2048
+_ACCEPTING_MAX = 2048
+_HANDSHAKES_MAX = 512  # over TLS, where each that fails has Zenoh wait 100 ms before it takes the next
 _BATCHES = 16  # of 64 KB per client and priority before DROP drops: bridges 1 s of a busy client at 4 kHz
 
 
@@ -69,7 +70,7 @@ def _config(
             "unicast": {
                 "open_timeout": 1500,
                 "accept_timeout": 1500,
-                "accept_pending": _ACCEPTING_MAX,
+                "accept_pending": _ACCEPTING_MAX if owned is None else _HANDSHAKES_MAX,
                 "max_sessions": _SESSIONS_MAX,
             },
             "link": {
@@ -118,7 +119,8 @@ def open_router(
     """The gateway's session: clients connect to it, and it relays between them.
 
     ``join``: other routers to form one network with; the connection is retried for ever. ``owned``: the gateway's key,
-    for endpoints ``tls/``. ``access_control``: see `rigctl.wire.access_control`; None: everyone may do everything.
+    for endpoints ``tls/``. ``access_control``: see `rigctl.wire.access_control`; None: everyone may do everything, as
+    in a test's network.
 
     Raises:
         SessionError: the endpoint cannot be opened; the message names it and the reason.

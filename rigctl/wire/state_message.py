@@ -14,8 +14,10 @@ import numpy.typing as npt
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.control.modes import HeldBy, Mode, PowerOff
 from rigctl.control.safety import Action, Row
+from rigctl.diagnosis.diagnose import Culprit
+from rigctl.diagnosis.part import Part
 from rigctl.ipc.record import NEVER_AGE_NS, Flag, Quality
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us
@@ -32,11 +34,22 @@ def quality_words(bits: int) -> str:
     return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
 
 
-def _name(kind: type[Mode | Fault], number: int) -> str:
+def _name(kind: type[Mode | HeldBy | PowerOff | Fault], number: int) -> str:
     try:
         return kind(number).name
     except ValueError:
         return f"UNKNOWN_{number}"
+
+
+SILENT_LOOP: dict[str, Any] = {
+    "parts": [str(Part.PROCESS)],
+    "text": "The loop writes no records: its process has ended, or hangs.",
+    "question": "",
+    "first": "Keep out from under the load: the drive stops and closes its brake by itself. Then rigctl doctor, and "
+    "the daemon's log.",
+    "follows": ["LOOP_SILENT"],
+}
+"""The culprit while no record comes."""
 
 
 class Recent:
@@ -210,6 +223,10 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "loop_alive": age_ns < ALIVE_NS,
         "mode": _name(Mode, values["mode"]),
         "mode_code": values["mode"],
+        "held_by": _name(HeldBy, values["held_by"]),
+        "held_by_code": values["held_by"],
+        "power_off": _name(PowerOff, values["power_off"]) if values["power_off"] else None,
+        "power_off_code": values["power_off"],
         "fault": _name(Fault, values["fault"]) if values["fault"] else None,
         "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
@@ -221,6 +238,22 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},
         **recent.figures(),
     }
+
+
+def culprit_of(
+    found: Culprit | None, causes: Sequence[Mapping[str, Any]], state: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """The part that a latched fault is about, or the loop's own silence; None where nothing is to be named.
+
+    ``causes``: those that stand; they follow from the culprit too.
+    """
+    if not state.get("loop_alive"):
+        return None if state.get("mode") is None else SILENT_LOOP
+    if found is None or not found.parts:
+        return None
+    message = found.as_message()
+    message["follows"] = list(dict.fromkeys([*message["follows"], *(str(cause["fault"]) for cause in causes)]))
+    return message
 
 
 def warnings_of(file: dict[str, Any]) -> list[str]:
@@ -272,6 +305,16 @@ DERIVED: Rows = (
     ("loop_alive", "boolean", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
     ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
     ("mode_code", "integer", "", "its number, as in the record"),
+    ("held_by", "string", "", "what carries the load: MOTOR, BRAKE, or the step between; NOTHING in a mode that moves"),
+    ("held_by_code", "integer", "", "its number, as in the record"),
+    (
+        "power_off",
+        "string?",
+        "",
+        "what shows that a drive commanded off is without power: INPUT, HEARTBEAT, TENSION or STROKE, else AWAITED or "
+        "UNCONFIRMED; null without such a command",
+    ),
+    ("power_off_code", "integer", "", "its number, as in the record"),
     ("fault", "string?", "", "latched fault's name, null without one"),
     ("fault_code", "integer", "", "its number, as in the record; 0 none"),
     ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),
@@ -281,6 +324,14 @@ DERIVED: Rows = (
         "",
         "causes of a fault that stand now, the strongest first: fault, text, action, value and limit in the fault's "
         "unit, since_ns (as t_ns), since_wall_ns, blocks_reset; value and since are null where that is not known",
+    ),
+    (
+        "culprit",
+        "object?",
+        "",
+        "of a latched fault or a silent loop: parts (one or two, in words), text, question (that decides between two, "
+        "else empty), first (the safe first step), follows (names of the causes that follow); null where nothing is "
+        "named",
     ),
     ("flag_names", "array", "", "flags in words"),
     ("error_n", "number?", "N", "vertical_n - target_n while COMPENSATING, else null"),

@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.config import quantity
+from rigctl.control.modes import PowerOff
+from rigctl.wire.trust import DEVICE_OF, doubts
 
 MODE_STYLE = {
     "DISARMED": "black on white",
@@ -32,6 +34,50 @@ def mode(state: dict[str, Any]) -> str:
     return str(state["mode"]) if state["loop_alive"] else "LOOP STOPPED"
 
 
+_HELD = {
+    "MOTOR": "held by the motor",
+    "CLOSING": "brake closing (inferred)",
+    "BRAKE": "held by the brake (inferred)",
+    "TAKING": "motor takes the load",
+    "UNKNOWN": "not known what holds the load",
+}
+
+
+def held(state: dict[str, Any]) -> str:
+    """What carries the load, how fast it sinks on a brake that slips, and whether a power off is confirmed."""
+    shown = PowerOff.__members__.get(str(state.get("power_off")), PowerOff.NONE)
+    by = "UNKNOWN" if "drive" in doubts(state) else str(state.get("held_by"))
+    words = "; ".join(filter(None, (_HELD.get(by, "moved by the motor"), shown.words)))
+    speed, left = state.get("sink_mm_s"), state.get("slack_s")
+    if by == "UNKNOWN" or not isinstance(speed, int | float) or not isinstance(left, int | float):
+        return words
+    return f"{words}, which SLIPS by {abs(speed):.2f} mm/s: rope slack in {left:.0f} s"
+
+
+def drive(state: dict[str, Any]) -> str:
+    """Whether the drive is on, as its statusword says."""
+    if "drive" in doubts(state):
+        return "not known"
+    return "on" if "drive_enabled" in state.get("flag_names", []) else "off"
+
+
+def brake(state: dict[str, Any]) -> str:
+    """Open, closed or closing. No rig measures it: it is inferred from the drive's state."""
+    if "drive" in doubts(state) or state.get("held_by") == "UNKNOWN":
+        return "not known"
+    if drive(state) == "on":
+        return "open"
+    return "closing" if state.get("held_by") == "CLOSING" else "closed"
+
+
+def measured(state: dict[str, Any], name: str, digits: int, unit: str = "", *, sign: bool = False) -> str:
+    """A value of the state with its unit; a dash, and why, where it is not to be trusted."""
+    device = DEVICE_OF[name]
+    if (doubt := doubts(state).get(device)) is not None:
+        return f"{NOTHING} ({doubt})"
+    return number(state.get(name), digits, unit, sign=sign)
+
+
 def mode_style(state: dict[str, Any]) -> str:
     """Colours of the mode."""
     return MODE_STYLE.get(mode(state), "bold white on red")
@@ -44,7 +90,7 @@ def why(state: dict[str, Any]) -> str:
     if not state["loop_alive"]:
         return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s"
     latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
-    first = next(iter(_standing(state)), None)
+    first = next(iter(_active(state)), None)
     if first is None or first.get("fault") == state["fault"]:
         return latched
     strongest = f"{first.get('fault')}: {first.get('text')}"
@@ -52,37 +98,56 @@ def why(state: dict[str, Any]) -> str:
 
 
 def causes(state: dict[str, Any]) -> list[str]:
-    """Every standing cause, the strongest first, marked where it blocks a reset, or that none stands any more."""
+    """Every active cause, the strongest first, marked where it blocks a reset, or that none is active any more."""
     if not state.get("fault") or not state.get("loop_alive"):
         return []
     lines = []
-    for cause in _standing(state):
+    for cause in _active(state):
         since = cause.get("since_wall_ns")
         parts = [f"{cause.get('fault')}: {cause.get('text')}"]
         parts += [f"since {clock(since)}"] if isinstance(since, int) else []
         parts += ["blocks reset"] if cause.get("blocks_reset") else []
         lines.append(", ".join(parts))
-    return lines or ["no cause stands any more: rigctl reset acknowledges the fault"]
+    return lines or ["no cause is active any more; latched until rigctl reset"]
 
 
-def _standing(state: dict[str, Any]) -> list[dict[str, Any]]:
+def _active(state: dict[str, Any]) -> list[dict[str, Any]]:
     found = state.get("causes")
     return [cause for cause in found if isinstance(cause, dict)] if isinstance(found, list) else []
+
+
+RAMPING_SHARE = 1e-3
+"""Of the target: a set-point further from it is on its way to a new target."""
+
+
+def on_ramp(state: dict[str, Any]) -> bool:
+    """Whether the set-point is on its way to a new target, so that the error against the target says nothing."""
+    setpoint, target, tension, vertical = (state.get(name) for name in _OF_RAMP)
+    if state.get("mode") != "COMPENSATING" or not setpoint or not target or not tension:
+        return False
+    return bool(abs(setpoint * (vertical or 0.0) / tension - target) > RAMPING_SHARE * target)
+
+
+_OF_RAMP = ("setpoint_n", "target_n", "tension_n", "vertical_n")
 
 
 def error(state: dict[str, Any]) -> str:
     """Vertical error in newtons and percent, while COMPENSATING."""
     if state.get("error_n") is None:
         return f"{NOTHING} (not COMPENSATING)"
+    if (doubt := doubts(state).get("tension")) is not None:
+        return f"{NOTHING} ({doubt})"
+    if on_ramp(state):
+        return f"{NOTHING} (on the way to {number(state['target_n'], 1, 'N')})"
     return f"{number(state['error_n'], 3, 'N', sign=True)} ({number(state['error_pct'], 3, '%')})"
 
 
 def inclination(state: dict[str, Any]) -> str:
-    """Both angles, and what is wrong with them."""
-    quality = state["quality"]["inclination"]
-    flaw = "" if quality == "good" else f"  {quality.upper()}"
+    """Both angles, or what is wrong with them."""
+    if (doubt := doubts(state).get("inclination")) is not None:
+        return f"{NOTHING} ({doubt})"
     tangential, normal = (number(state[f"{axis}_deg"], 2, "deg", sign=True) for axis in ("tangential", "normal"))
-    return f"tangential {tangential}  normal {normal}{flaw}"
+    return f"tangential {tangential}  normal {normal}"
 
 
 def calibration(state: dict[str, Any]) -> tuple[str, str]:
@@ -91,7 +156,7 @@ def calibration(state: dict[str, Any]) -> tuple[str, str]:
     text = f"zero {number(found.get('zero_n'), 3, 'N', sign=True)}, scale {number(found.get('scale'), 5)}"
     if found.get("overdue"):
         waiver = found.get("waiver")
-        return f"{text}, waived: {waiver}" if waiver else f"{text}, OVERDUE: no arming", "yellow" if waiver else "red"
+        return f"{text}, waived: {waiver}" if waiver else f"{text}, OVERDUE: no arming", "" if waiver else "red"
     return (f"{text}, due {found['due'][:10]}" if found.get("due") else text), ""
 
 

@@ -1,11 +1,12 @@
 """``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``;
-``access|bridge|holds|margins|report|telemetry|terminal --help``."""
+``access|bridge|coverage|holds|margins|report|telemetry|terminal --help``."""
 
 from __future__ import annotations
 
 import argparse
 import json
 import pathlib
+import signal
 import sys
 import time
 from collections.abc import Callable
@@ -18,15 +19,18 @@ from rigctl.cli import bench
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
-from tests.bench import access, bridge, holds, margins, plant, report, telemetry, terminal
+from rigctl.ipc.termination import on_signals
+from tests.bench import access, bridge, coverage, holds, margins, plant, report, sensors, telemetry, terminal
 from tests.builders import daemons
 
 FIGURES: dict[str, Callable[[list[str]], int]] = {
     "access": access.main,
     "bridge": bridge.main,
+    "coverage": coverage.main,
     "holds": holds.main,
     "margins": margins.main,
     "report": report.main,
+    "sensors": sensors.main,
     "telemetry": telemetry.main,
     "terminal": terminal.main,
 }
@@ -53,6 +57,7 @@ def show(measured: list[RateResult], results: dict[str, Any], console: Console) 
 
 
 def main() -> int:
+    on_signals(signal.default_int_handler, signal.SIGTERM, signal.SIGHUP)  # ends the child processes as Ctrl-C does
     if sys.argv[1:2] and (figure := FIGURES.get(sys.argv[1])) is not None:
         return figure(sys.argv[2:])
     parser = argparse.ArgumentParser(prog="python -m tests.bench", description=__doc__)

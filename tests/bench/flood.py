@@ -33,7 +33,7 @@ from rigctl.wire.session import SessionError, close, open_client
 from tests.builders.paths import ROOT
 
 SECONDS_MAX = 120.0
-OPENING_S = 20.0
+OPENING_S = 45.0
 HALF_OPEN, SESSIONS, STALLED = 400, 999, 8
 OPENINGS_MAX, QUERIES_MAX, PAYLOADS_MAX = 50_000, 2_000_000, 200
 OUTSTANDING_MAX = 256  # queries without a reply: more would only fill this process

@@ -31,6 +31,7 @@ from rich.table import Table
 from rigctl.client import local_hold
 from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
 from rigctl.ipc.runtime_folder import Runtime
+from tests.bench import hung_holds
 from tests.bench.flood import KINDS, TLS_KINDS, flooding
 from tests.builders import daemons
 from tests.live.system.test_daemon import PATIENT
@@ -69,6 +70,7 @@ class Subject:
     """A daemon on the simulated rig, and its record."""
 
     def __init__(self, file: pathlib.Path) -> None:
+        self.file = file
         self.endpoint, self.rig = daemons.endpoint(file), daemons.name_of(file)
         self.key, self.floods_key = daemons.key_of(OPERATOR, file), daemons.key_of("lee", file)
         self._records = Runtime.of(self.rig).records.reader()
@@ -97,11 +99,13 @@ class Subject:
 
 
 @contextlib.contextmanager
-def subject(*, tls: bool = False) -> Iterator[Subject]:
+def subject(*, tls: bool = False, page: bool = False) -> Iterator[Subject]:
     """The paper's rig with its own name, endpoint and folders, armed; ``tls``: with certificates."""
     with tempfile.TemporaryDirectory() as name, contextlib.ExitStack() as stack:
         folder = pathlib.Path(name)
         file = daemons.rig_file(folder, PATIENT)
+        if page:
+            file.write_text(f'{file.read_text()}\npage: {{listen: "127.0.0.1:{daemons.free_port()}"}}\n')
         if tls:
             daemons.with_certificates(file)
         stack.enter_context(daemons.simulated_rig(file, folder / "rig.log"))
@@ -114,13 +118,14 @@ def subject(*, tls: bool = False) -> Iterator[Subject]:
 
 @contextlib.contextmanager
 def hung(subject: Subject) -> Iterator[None]:
-    """Stop the gateway within the context."""
+    """Stop the gateway within the context; the supervisor replaces it meanwhile."""
     pid = subject.gateway()
     os.kill(pid, signal.SIGSTOP)
     try:
         yield
     finally:
-        os.kill(pid, signal.SIGCONT)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGCONT)
 
 
 def _over_network(client: Client) -> tuple[float, float] | None:
@@ -182,6 +187,15 @@ def show(rows: list[dict[str, Any]], limit_ms: float, console: Console) -> None:
     console.print(f"limits: HOLD p99 {limit_ms:g} ms, 0 lost; gateway's memory at most {peak:.0f} MiB", highlight=False)
 
 
+def _hung(count: int, file: pathlib.Path | None) -> int:
+    with subject(page=True) as rig:
+        rows = hung_holds.measure(rig.file, count)
+    hung_holds.show(rows, Console(width=110))
+    if file is not None:
+        file.write_text(json.dumps({"factor": hung_holds.FACTOR, "stopped": rows}, indent=2) + "\n")
+    return 0 if all(row["met"] for row in rows) else 1
+
+
 def main(words: list[str]) -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.bench holds", description=__doc__)
     parser.add_argument("--floods", nargs="+", choices=[CALM, *TLS_KINDS, HUNG], help="[all]")
@@ -189,8 +203,11 @@ def main(words: list[str]) -> int:
     parser.add_argument("--count", type=int, default=200, help="holds under each flood")
     parser.add_argument("--pause", type=float, default=0.05, help="seconds between them, about")
     parser.add_argument("--as-others", action="store_true", help="wait for a processor like every other process")
+    parser.add_argument("--hung", action="store_true", help="instead: rigctl hold with each other process stopped")
     parser.add_argument("--json", type=pathlib.Path, help="write the figures here")
     arguments = parser.parse_args(words)
+    if arguments.hung:
+        return _hung(arguments.count, arguments.json)
     rows = []
     if not arguments.as_others:
         with contextlib.suppress(PermissionError):

@@ -28,6 +28,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts, recording
 from tests.builders import daemons
+from tests.builders.waiting import until
 
 LIMIT_MS = 1000.0
 LONGEST_WAIT_S = 3.0
@@ -65,12 +66,12 @@ def strike(file: pathlib.Path, chance: random.Random, longest_s: float = LONGEST
         alive = pathlib.Path(f"/proc/{told.get('pid', 0)}/stat").exists()
         return (int(told["pid"]), str(name)) if name and alive and told["recording"]["records"] else None
 
-    daemons.wait_for(writing, 30.0)
+    until(writing)
     time.sleep(chance.uniform(0.0, longest_s))
-    pid, name = daemons.wait_for(writing, 30.0)
+    pid, name = until(writing)
     t_ns = time.monotonic_ns()
     os.kill(pid, signal.SIGKILL)
-    daemons.wait_for(lambda: runtime.read_json(RECORDED).get("pid") != pid, 30.0)
+    until(lambda: runtime.read_json(RECORDED).get("pid") != pid)
     return t_ns, name
 
 

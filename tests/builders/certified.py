@@ -10,7 +10,8 @@ from rigctl.client.connection import Client
 from rigctl.config.telemetry_section import TelemetrySettings, TlsSettings
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.roles import PEOPLE
-from tests.builders.miniature import Daemon, free_port, until
+from tests.builders.miniature import Daemon, free_port
+from tests.builders.waiting import until
 
 NAMES = dict(zip(("vera", "kim", "max"), PEOPLE, strict=True))
 

@@ -10,8 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
@@ -23,10 +22,9 @@ from rigctl.identity.roles import Role
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import IN_FLIGHT_TICKS
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 PAPER = ROOT / "config/paper_rig.yaml"
-START_LIMIT_S = 120.0  # a guest kernel is slow; no test judges this time
-STOP_LIMIT_S = 60.0
 SLOW_HZ = 100
 # A rig that a busy host does not trip: a slow loop, and each limit in time as wide as the rig file may have it. The bus
 # is silent before a device is stale, so that what the fault is called does not depend on which frame came last.
@@ -121,7 +119,7 @@ def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[byt
         if child.poll() is None:
             child.send_signal(signal.SIGTERM)
         try:
-            child.wait(STOP_LIMIT_S)
+            child.wait(patience_s())
         except subprocess.TimeoutExpired:
             child.kill()
             child.wait()
@@ -147,22 +145,11 @@ def process_with(*words: str) -> int:
     return found[0]
 
 
-def wait_for(what: Callable[[], Any], limit_s: float = START_LIMIT_S, *, log: pathlib.Path | None = None) -> Any:
-    """Poll until ``what()`` is true; returns it."""
-    until = time.monotonic() + limit_s
-    while time.monotonic() < until:
-        if value := what():
-            return value
-        time.sleep(0.05)
-    said = log.read_text(errors="replace") if log is not None and log.exists() else ""
-    raise AssertionError(f"not within {limit_s} s: {what}\n{said}")
-
-
 @contextlib.contextmanager
 def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
     """``python -m hil serve FILE``, ready."""
     with process("hil", "serve", str(file), log=log) as child:
-        wait_for(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
+        until(lambda: child.poll() is not None or b"serving" in log.read_bytes(), log=log)
         assert child.poll() is None, log.read_text()
         yield child
 
@@ -171,7 +158,7 @@ def simulated_rig(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.
 def daemon(file: pathlib.Path, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
     """``rigctl run FILE``, once it reports DISARMED."""
     with process("rigctl", "run", str(file), log=log) as child:
-        wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
+        until(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
         assert child.poll() is None, log.read_text()
         yield child
 
@@ -186,8 +173,11 @@ def environment(file: pathlib.Path | None) -> dict[str, str]:
     return {**os.environ, **own}
 
 
-def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run one ``rigctl`` command for the daemon of ``file``; all are one operator's, at one terminal."""
+def rigctl(*arguments: str, file: pathlib.Path | None = None, lasts_s: float = 0.0) -> subprocess.CompletedProcess[str]:
+    """Run one ``rigctl`` command for the daemon of ``file``; all are one operator's, at one terminal.
+
+    ``lasts_s``: what the command itself takes, as a measurement does.
+    """
     where = ("--connect", endpoint(file), "--rig", name_of(file)) if file is not None else ()
     return subprocess.run(
         [sys.executable, "-m", "rigctl", *arguments, *where],
@@ -195,7 +185,7 @@ def rigctl(*arguments: str, file: pathlib.Path | None = None) -> subprocess.Comp
         text=True,
         cwd=ROOT,
         env=environment(file),
-        timeout=240,
+        timeout=lasts_s + patience_s(),
         check=False,
         stdin=subprocess.DEVNULL,
     )

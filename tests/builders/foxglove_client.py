@@ -17,7 +17,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
-PATIENCE_S = 40.0
+from tests.builders.waiting import patience_s
 
 
 @dataclass
@@ -27,13 +27,16 @@ class FoxgloveClient:
     port: int
     name: str = "foxglove.websocket.v1"
     origin: str | None = None
+    host: str | None = None
     info: dict[str, Any] = field(default_factory=dict)
     channels: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         self._opened = connect(
-            f"ws://127.0.0.1:{self.port}", subprotocols=[Subprotocol(self.name)], origin=self.origin,  # type: ignore[arg-type]
-            compression=None, max_size=None, open_timeout=PATIENCE_S,
+            f"ws://{self.host or f'127.0.0.1:{self.port}'}", sock=socket.create_connection(("127.0.0.1", self.port)),
+            subprotocols=[Subprotocol(self.name)], origin=self.origin,  # type: ignore[arg-type]
+            compression=None, max_size=None, open_timeout=patience_s(),
+            close_timeout=0.5,  # messages of data that wait unread keep the answer to the close away
         )  # fmt: skip
         self.socket: ClientConnection = self._opened.__enter__()
         self._subscribed: dict[int, Any] = {}
@@ -50,9 +53,9 @@ class FoxgloveClient:
 
     def told(self, op: str) -> dict[str, Any]:
         """The next text message of this kind; others are skipped."""
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + patience_s()
         while time.monotonic() < until:
-            message = self.socket.recv(PATIENCE_S)
+            message = self.socket.recv(patience_s())
             if isinstance(message, str) and (found := self._heard(message))["op"] == op:
                 return found
         raise AssertionError(f"no {op}")
@@ -80,9 +83,9 @@ class FoxgloveClient:
 
     def raw(self) -> bytes:
         """The next message of data."""
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + patience_s()
         while time.monotonic() < until:
-            found = self.socket.recv(PATIENCE_S)
+            found = self.socket.recv(patience_s())
             if isinstance(found, bytes):
                 return found
             self._heard(found)
@@ -104,7 +107,7 @@ def stalled(port: int, channel: int, times: int) -> Iterator[None]:
     """A client that subscribes so many times and reads nothing, on a socket that takes little."""
     with socket.socket() as wire:
         wire.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        wire.settimeout(PATIENCE_S)
+        wire.settimeout(patience_s())
         wire.connect(("127.0.0.1", port))
         wire.sendall(
             f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"

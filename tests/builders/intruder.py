@@ -1,10 +1,12 @@
 """A local user without rights (uid 65534) who attacks a daemon: a process of his own with a real Zenoh session.
 
 ``python intruder.py ENDPOINT RIG TASK...`` prints ``ready``, then one line of JSON for each thing it sees, until its
-standard input ends. Lines on its standard input are queries to send: key, payload and attachment as hexadecimal text.
+standard input ends. Lines on its standard input are queries to send: key and payload as hexadecimal text.
 
 Tasks: ``answers`` (a complete queryable on every key of the rig, with well-shaped forged answers), ``publishes``
-(forged states and events), ``tokens`` (liveliness tokens of rigs that do not exist), ``token`` (of this rig).
+(forged states and events, also on the keys of every rig at once), ``replays`` (every state again), ``tokens``
+(liveliness tokens of rigs that do not exist), ``token=RIG``, ``takes_port`` (a router of his own at the endpoint, as
+soon as that is free, with answers, token and states).
 """
 
 from __future__ import annotations
@@ -26,11 +28,11 @@ if __name__ == "__main__":
 import zenoh
 
 from rigctl.wire.keys import Keys
-from rigctl.wire.session import SessionError, open_client
+from rigctl.wire.session import SessionError, open_client, open_router
+from tests.builders.waiting import FACTOR, patience_s
 
 NOBODY = 65534
 FORGED = "stroke held at 12.34 mm, tension 56.7 N"
-PATIENCE_S = 40.0
 
 
 def let_others_in(folder: pathlib.Path) -> None:
@@ -49,13 +51,20 @@ def become_nobody() -> None:
 
 
 class Intruder:
-    """The process, from the test's side; ``namespace``: words before its command, for another network namespace."""
+    """The process, from the test's side.
 
-    def __init__(self, endpoint: str, rig: str, *tasks: str, namespace: tuple[str, ...] = ()) -> None:
+    ``namespace``: words before its command, for another network namespace; ``patience``: how many times as long as
+    usual it waits for the daemon.
+    """
+
+    def __init__(
+        self, endpoint: str, rig: str, *tasks: str, namespace: tuple[str, ...] = (), patience: float = 1.0
+    ) -> None:
         command = [*namespace, sys.executable, __file__, endpoint, rig, *tasks]
         self.process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd="/", bufsize=1
-        )
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd="/", bufsize=1,
+            env={**os.environ, FACTOR: str(float(os.environ.get(FACTOR, "1")) * patience)},
+        )  # fmt: skip
         self.seen: list[dict[str, Any]] = []
         self._come = threading.Condition()
         assert self.process.stdout is not None
@@ -78,16 +87,21 @@ class Intruder:
             return next(fits, None)
 
         with self._come:
-            assert self._come.wait_for(lambda: found() is not None, PATIENCE_S), (what, self.seen)
+            assert self._come.wait_for(lambda: found() is not None, patience_s()), (what, self.seen)
         result = found()
         assert result is not None
         return result
 
-    def ask(self, key: str, payload: bytes, attachment: bytes = b"") -> dict[str, Any]:
-        """Send a query; returns the first answer: ``good`` and ``text``."""
+    @property
+    def was_asked(self) -> bool:
+        """Whether a query has come to him."""
+        return any(one["what"] == "query" for one in self.seen)
+
+    def ask(self, key: str, payload: bytes) -> dict[str, Any]:
+        """Send a query; returns the first answer: ``good`` and ``text``, which is empty without one."""
         before = len(self.seen)
         assert self.process.stdin is not None
-        self.process.stdin.write(json.dumps([key, payload.hex(), attachment.hex()]) + "\n")
+        self.process.stdin.write(json.dumps([key, payload.hex()]) + "\n")
         self.process.stdin.flush()
         return self.wait("answer", before)
 
@@ -95,7 +109,7 @@ class Intruder:
         assert self.process.stdin is not None
         self.process.stdin.close()
         try:
-            self.process.wait(PATIENCE_S)
+            self.process.wait(patience_s())
         finally:
             self.process.kill()
 
@@ -123,34 +137,38 @@ def _forged(key: str, keys: Keys, genuine: dict[str, bytes]) -> bytes:
     return found if found is not None else b"{}"
 
 
-def _answer_all(session: zenoh.Session, keys: Keys) -> list[Any]:
-    """Declare complete queryables; he asks the daemon first, so that his answers have the shape of its own."""
-    genuine: dict[str, bytes] = {}
+def _genuine(session: zenoh.Session, keys: Keys) -> dict[str, bytes]:
+    """The daemon's own answers, whose shape his have."""
+    found: dict[str, bytes] = {}
     for key in (keys.state, keys.schema, keys.active):
-        for reply in session.get(key, timeout=2.0):
+        for reply in session.get(key, timeout=patience_s()):
             if reply.ok is not None:
-                genuine[key] = bytes(reply.ok.payload)
+                found[key] = bytes(reply.ok.payload)
+    return found
+
+
+def _answer_all(session: zenoh.Session, keys: Keys, genuine: dict[str, bytes]) -> list[Any]:
+    """Declare complete queryables, of the rig's keys and of every rig's."""
 
     def take(query: zenoh.Query) -> None:
         key = str(query.key_expr)
-        attachment = bytes(query.attachment) if query.attachment is not None else b""
         payload = bytes(query.payload) if query.payload is not None else b""
         with contextlib.suppress(zenoh.ZError):
             query.reply(key, _forged(key, keys, genuine))
         query.drop()  # type: ignore[no-untyped-call]
-        _say(what="query", key=key, payload=payload.hex(), attachment=attachment.hex())
+        _say(what="query", key=key, payload=payload.hex())
 
-    declared = (keys.command("**"), keys.state, keys.schema, keys.active)
+    declared = (keys.command("**"), keys.state, keys.schema, keys.active, Keys("*").command("**"), Keys("*").state)
     return [session.declare_queryable(key, take, complete=True) for key in declared]
 
 
-def _publish(session: zenoh.Session, keys: Keys) -> None:
+def _publish(session: zenoh.Session, keys: Keys, state: bytes) -> None:
     """Publish forged states and events for ever."""
-    (state,) = [bytes(reply.ok.payload) for reply in session.get(keys.state, timeout=2.0) if reply.ok is not None]
     forged = json.loads(state)
     while True:
         forged |= {"mode": "FAULT", "fault": "TENSION_HIGH", "seq": forged["seq"] + 1, "t_ns": time.monotonic_ns()}
-        session.put(keys.state, json.dumps(forged).encode())
+        for key in (keys.state, Keys("*").state):
+            session.put(key, json.dumps(forged).encode())
         event = {"seq": forged["event_seq"] + 1, "t_ns": forged["t_ns"], "wall_ns": time.time_ns(), "severity": "error"}
         event |= {"source": "loop", "kind": "TRIP", "text": "forged", "stream": forged["stream"]}
         session.put(keys.event("error"), json.dumps(event).encode())
@@ -158,17 +176,16 @@ def _publish(session: zenoh.Session, keys: Keys) -> None:
 
 
 def _replay(session: zenoh.Session, keys: Keys) -> list[Any]:
-    """Publish every state of the daemon again, with its attachment, a while later."""
-    kept: list[tuple[bytes, bytes]] = []
+    """Publish every state of the daemon again, a while later."""
+    kept: list[bytes] = []
 
     def take(sample: zenoh.Sample) -> None:
-        kept.append((bytes(sample.payload), bytes(sample.attachment) if sample.attachment is not None else b""))
+        kept.append(bytes(sample.payload))
 
     def again() -> None:
         while True:
             if len(kept) > 50:
-                payload, attachment = kept[0]
-                session.put(keys.state, payload, attachment=attachment)
+                session.put(keys.state, kept[0])
             time.sleep(0.002)
 
     threading.Thread(target=again, daemon=True).start()
@@ -177,7 +194,7 @@ def _replay(session: zenoh.Session, keys: Keys) -> list[Any]:
 
 def _opened(endpoint: str) -> zenoh.Session:
     """A session; a busy computer may not answer the first time."""
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + patience_s()
     while True:
         try:
             return open_client(endpoint)
@@ -186,14 +203,30 @@ def _opened(endpoint: str) -> zenoh.Session:
                 raise
 
 
+def _take_port(endpoint: str, keys: Keys, genuine: dict[str, bytes], kept: list[Any]) -> None:
+    """Wait until the endpoint is free, and be the daemon there."""
+    while True:
+        try:
+            router = open_router([endpoint])
+            break
+        except SessionError:
+            time.sleep(0.005)
+    kept += [router, *_answer_all(router, keys, genuine), router.liveliness().declare_token(keys.daemon)]
+    _say(what="port")
+    _publish(router, keys, genuine[keys.state])
+
+
 def main(endpoint: str, rig: str, *tasks: str) -> None:
     become_nobody()
     keys, session = Keys(rig), _opened(endpoint)
+    genuine = _genuine(session, keys) if {"answers", "publishes", "takes_port"} & {*tasks} else {}
     kept: list[Any] = []
     if "answers" in tasks:
-        kept += _answer_all(session, keys)
+        kept += _answer_all(session, keys, genuine)
     if "publishes" in tasks:
-        threading.Thread(target=_publish, args=(session, keys), daemon=True).start()
+        threading.Thread(target=_publish, args=(session, keys, genuine[keys.state]), daemon=True).start()
+    if "takes_port" in tasks:
+        threading.Thread(target=_take_port, args=(endpoint, keys, genuine, kept), daemon=True).start()
     if "replays" in tasks:
         kept += _replay(session, keys)
     if "tokens" in tasks:
@@ -205,10 +238,8 @@ def main(endpoint: str, rig: str, *tasks: str) -> None:
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
-        key, payload, attachment = json.loads(line)
-        replies = list(
-            session.get(key, payload=bytes.fromhex(payload), attachment=bytes.fromhex(attachment), timeout=5.0)
-        )
+        key, payload = json.loads(line)
+        replies = list(session.get(key, payload=bytes.fromhex(payload), timeout=patience_s()))
         good = any(reply.ok is not None for reply in replies)
         texts = [bytes(reply.ok.payload if reply.ok is not None else reply.err.payload) for reply in replies]  # type: ignore[union-attr]
         _say(what="answer", good=good, text=texts[0].decode(errors="replace") if texts else "")

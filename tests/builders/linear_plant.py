@@ -90,7 +90,7 @@ def true_plant(settings: RigSettings) -> TruePlant:
     mechanism = simulation.mechanism
     return TruePlant(
         plant.stiffness_n_mm * simulation.stiffness_scale,
-        simulation.rope.damping_n_s_mm,
+        plant.damping_n_s_mm if simulation.rope.damping_n_s_mm is None else simulation.rope.damping_n_s_mm,
         plant.cylinder_lag_s * simulation.lag_scale,
         plant.command_delay_s * simulation.delay_scale,
         mechanism.vertical_n_mm,

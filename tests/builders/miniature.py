@@ -8,11 +8,12 @@ import pathlib
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import IO, Any
 
 from rigctl.client import Rig, connect
@@ -20,23 +21,13 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
-
-PATIENCE_S = 120.0  # far above any expected time, also on a busy machine: only a hang fails
+from tests.builders.waiting import patience_s, until
 
 
 def free_port() -> int:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         return int(probe.getsockname()[1])
-
-
-def until(true: Callable[[], Any], what: str) -> Any:
-    """Wait for a truthy value."""
-    end = time.monotonic() + PATIENCE_S
-    while not (value := true()):
-        assert time.monotonic() < end, f"waited {PATIENCE_S:.0f} s for {what}"
-        time.sleep(0.02)
-    return value
 
 
 def stop(process: subprocess.Popen[Any]) -> None:
@@ -55,6 +46,14 @@ def stop(process: subprocess.Popen[Any]) -> None:
 
 RUN_ID = "0123456789abcdef"
 DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
+
+
+_LETS_ALL = """import sys
+from rigctl.gateway import admission, gateway_process
+own = admission.open_router
+admission.open_router = lambda listen, join, access_control: own(listen, join)
+sys.exit(gateway_process.main(sys.argv[1:]))
+"""
 
 
 class Daemon:
@@ -87,8 +86,10 @@ class Daemon:
         until(lambda: records.head, "the first record")
         return loop
 
-    def start_gateway(self) -> None:
-        self.gateway = self.spawn("-m", "rigctl.gateway.gateway_process", str(self.runtime.directory))
+    def start_gateway(self, *, lets_all: bool = False) -> None:
+        """``lets_all``: its router refuses nothing, as one that is not the daemon's."""
+        words = ("-c", _LETS_ALL) if lets_all else ("-m", "rigctl.gateway.gateway_process")
+        self.gateway = self.spawn(*words, str(self.runtime.directory))
 
     def kill_gateway(self) -> None:
         assert self.gateway is not None
@@ -100,7 +101,17 @@ class Daemon:
         return Client(self.endpoint, self.settings.rig)
 
     def rig(self) -> Rig:
-        return connect(self.endpoint, self.settings.rig, timeout_s=PATIENCE_S)
+        return connect(self.endpoint, self.settings.rig, timeout_s=patience_s())
+
+    def remote_rig(self) -> Rig:
+        """A client that does not believe the run-time folder, as on another computer: it reads, by the endpoint."""
+        until(self._reachable, f"the gateway at {self.endpoint}")
+        mode = self.runtime.directory.stat().st_mode
+        self.runtime.directory.chmod(mode | stat.S_IWGRP)
+        try:
+            return self.rig()
+        finally:
+            self.runtime.directory.chmod(mode)
 
     def state(self, client: Client) -> dict[str, Any]:
         """A state made after this call: the newest published one may be older than the last command."""
@@ -127,7 +138,7 @@ class Daemon:
         self.runtime.write_json("active.json", {**mine, "settings": {**mine["settings"], "telemetry": telemetry}})
         try:
             self.start_gateway()
-            with connect(elsewhere, timeout_s=PATIENCE_S) as rig:
+            with connect(elsewhere, timeout_s=patience_s()) as rig:
                 yield rig
         finally:
             self.kill_gateway()
@@ -156,7 +167,7 @@ class Daemon:
             env=self.environment(**environment),
             capture_output=True,
             text=True,
-            timeout=PATIENCE_S * 2,
+            timeout=patience_s(),
             check=False,
         )
 
@@ -168,11 +179,11 @@ class Daemon:
         shutil.rmtree(self.runtime.directory, ignore_errors=True)
 
 
-def running(*options: str) -> Iterator[Daemon]:
+def running(*options: str, lets_all: bool = False) -> Iterator[Daemon]:
     found = Daemon()
     try:
         found.start_loop(*options)
-        found.start_gateway()
+        found.start_gateway(lets_all=lets_all)
         yield found
     finally:
         found.close()

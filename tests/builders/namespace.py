@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.builders.miniature import until
+from tests.builders.waiting import until
 
 HERE, THERE = "10.213.7.1", "10.213.7.2"
 

@@ -15,8 +15,7 @@ import ssl
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,6 +23,7 @@ from playwright.sync_api import Browser, ConsoleMessage, Page, Request, WebSocke
 
 from rigctl.page.link_socket import new_link, path_in
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 CHROMIUM = "/usr/bin/chromium"
 FLAGS = (
@@ -41,16 +41,6 @@ PATIENT: dict[str, dict[str, Any]] = {
     },
     "cylinder": {"heartbeat_timeout_ms": 1000, "command_deadline_ms": 1000},
 }
-PATIENCE_S = 120.0  # far above any expected time: only a hang fails
-
-
-def until(true: Callable[[], Any], what: str) -> Any:
-    """Wait for a truthy value."""
-    end = time.monotonic() + PATIENCE_S
-    while not (value := true()):
-        assert time.monotonic() < end, f"waited {PATIENCE_S:.0f} s for {what}"
-        time.sleep(0.05)
-    return value
 
 
 class Server:
@@ -101,7 +91,7 @@ class Server:
         """One request as this server's own page makes it, except for ``headers``: status, headers, body."""
         own = {"Host": f"127.0.0.1:{self.port}", "Origin": self.base}
         own |= {name.capitalize(): value for name, value in headers.items()}
-        where: dict[str, Any] = {"host": "127.0.0.1", "port": self.port, "timeout": PATIENCE_S}
+        where: dict[str, Any] = {"host": "127.0.0.1", "port": self.port, "timeout": patience_s()}
         secured = self.scheme == "https"
         connection = http.client.HTTPSConnection(**where, context=self._tls) if secured else None
         with contextlib.closing(connection or http.client.HTTPConnection(**where)) as one:
@@ -122,7 +112,7 @@ class Server:
         """Exit code and standard error."""
         if self.process.poll() is None:
             self.process.send_signal(number)
-        _, error = self.process.communicate(timeout=PATIENCE_S)
+        _, error = self.process.communicate(timeout=patience_s())
         shutil.rmtree(self.folder, ignore_errors=True)
         return self.process.returncode, error
 

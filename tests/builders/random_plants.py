@@ -17,8 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from hil.lockstep import lockstep
+from hil.faults import in_controller
+from hil.faults.stand import Stand
+from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
+from rigctl.commission.identification import IdentificationError
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Refusal, Verb
@@ -27,12 +30,14 @@ from rigctl.design.margins import design_and_check
 from tests.builders.daemons import PAPER
 
 LIMIT_S = 12.0
+STEP_US = 50  # of the integration: the plant takes a command to the nearest step, so that a true delay is a multiple
 KEYS = {
     "lag": "plant.cylinder_lag_s",
     "delay": "plant.command_delay_s",
     "stiffness": "stiffness",
     "backlash": "backlash",
     "noise": "tension_cell.noise_n",
+    "gain": "drive speed / command",
 }
 
 
@@ -55,7 +60,7 @@ class RandomPlant:
     def truth(self, name: str) -> float:
         """True value by name; the backlash shows only where the load does not seat the nut."""
         seated = name == "backlash" and self.tension_n > 20.0
-        return 0.0 if seated else float(getattr(self, name))
+        return 1.0 if name == "gain" else 0.0 if seated else float(getattr(self, name))
 
 
 def plants(seed: int, count: int, *, wide: bool = False) -> list[RandomPlant]:
@@ -69,7 +74,7 @@ def plants(seed: int, count: int, *, wide: bool = False) -> list[RandomPlant]:
             RandomPlant(
                 low * (high / low) ** draw.random(),
                 draw.uniform(0.005, 0.06),
-                draw.uniform(0.0005, 0.01),
+                STEP_US * 1e-6 * draw.randint(10, 200),
                 draw.uniform(0.0, 0.2),
                 0.01 * 20.0 ** draw.random(),
                 tension_n,
@@ -84,7 +89,7 @@ def built(settings: RigSettings, plant: RandomPlant) -> RigSettings:
     simulation = settings.simulation
     assert simulation is not None
     drive = simulation.drive.model_copy(update={"backlash_mm": plant.backlash})
-    update = {"seed": 1 + plant.seed, "step_us": 50, "drive": drive}
+    update = {"seed": 1 + plant.seed, "step_us": STEP_US, "drive": drive}
     update |= {
         "lag_scale": plant.lag / settings.plant.cylinder_lag_s,
         "delay_scale": plant.delay / settings.plant.command_delay_s,
@@ -101,6 +106,7 @@ class Result:
     plant: RandomPlant
     rows: dict[str, dict[str, Any]]
     span_n: float
+    refused: str = ""
 
     def told(self, name: str) -> bool:
         return self.rows[name]["found"] is not None
@@ -119,7 +125,16 @@ def _as_filed() -> tuple[RigSettings, Gains]:
     return settings, design_and_check(settings).gains
 
 
-def identified(plant: RandomPlant) -> Result:
+def pause(rig: Lockstep, plant: RandomPlant, gap_s: float) -> None:
+    """From now on the computer is busy: pauses of the loop, ``gap_s`` apart in the mean."""
+    step = in_controller.busy(gap_s)(Stand(rig, f"busy {plant.seed}"))
+    assert step is not None
+    start_ns = rig.rig_ns
+    rig.on_advance = lambda: step((rig.rig_ns - start_ns) * 1e-9)
+
+
+def identified(plant: RandomPlant, gap_s: float | None = None) -> Result:
+    """``gap_s``: of `pause`."""
     settings, gains = _as_filed()
     with lockstep(built(settings, plant), gains) as rig:
         if not plant.slack:
@@ -128,21 +143,30 @@ def identified(plant: RandomPlant) -> Result:
         assert rig.command(Verb.ARM) is Refusal.NONE
         rig.run(0.2)
         rig.read_records()
+        if gap_s is not None:
+            pause(rig, plant, gap_s)
         answer = rig.command(Verb.IDENTIFY, limit_s=LIMIT_S)
         records = rig.read_records()
     span_n = float(np.ptp(records["tension_n"]))
     if answer is not Refusal.NONE:
-        refused = {"found": None, "error": None, "why": answer.name.lower()}
-        return Result(plant, dict.fromkeys(KEYS, refused), span_n)
+        return _refused(plant, span_n, answer.name.lower())
     records = records[records["t_ns"] > rig.reply["t_ns"] - round(float(rig.reply["duration_s"]) * 1e9)]
-    rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}
+    try:
+        found = proposal.rows(proposal.signals_of(records, 1e-3), settings)
+    except IdentificationError as error:
+        return _refused(plant, span_n, str(error))
+    rows = {row["key"]: row for row in found}
     return Result(plant, {name: rows[key] for name, key in KEYS.items()}, span_n)
 
 
-def identify_all(found: list[RandomPlant]) -> list[Result]:
+def _refused(plant: RandomPlant, span_n: float, why: str) -> Result:
+    return Result(plant, {name: {"found": None, "error": None, "why": why} for name in KEYS}, span_n, why)
+
+
+def identify_all(found: list[RandomPlant], gap_s: float | None = None) -> list[Result]:
     """Identify each in a process of its own, as many at once as there are processors."""
     with ProcessPoolExecutor(mp_context=multiprocessing.get_context("spawn")) as pool:
-        return list(pool.map(identified, found))
+        return list(pool.map(functools.partial(identified, gap_s=gap_s), found))
 
 
 def in_words(result: Result) -> str:

@@ -2,8 +2,8 @@
 
 ``python remote_operator.py ENDPOINT RIG KEY`` prints ``ready``, then one line of JSON for each line of JSON on its
 standard input: ``["command", VERB, VALUE]``, ``["take", REASON]``, ``["return"]``, ``["connected"]`` (wait for a
-gateway that was started anew), ``["sent"]`` (the newest command as it was sent), or ``["raw", KEY, PAYLOAD,
-ATTACHMENT]`` in hexadecimal text.
+gateway that was started anew), ``["sent"]`` (the newest command as it was sent), or ``["raw", KEY, PAYLOAD]`` in
+hexadecimal text.
 """
 
 from __future__ import annotations
@@ -20,15 +20,11 @@ from typing import Any
 if __name__ == "__main__":
     sys.path.insert(0, str(pathlib.Path(__file__).parents[2]))
 
-import msgspec
-
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.client.shapes import refusal
-from rigctl.wire.proof import unsealed
-from tests.builders.intruder import NOBODY, PATIENCE_S, become_nobody
+from tests.builders.intruder import NOBODY, become_nobody
 from tests.builders.miniature import Daemon
-
-OTHER_CLOCK_NS = 10**15  # another computer's monotonic clock has another origin
+from tests.builders.waiting import patience_s
 
 
 class RemoteOperator:
@@ -74,27 +70,26 @@ class RemoteOperator:
 class _Remembering(Client):
     """A client that keeps its newest command as it was sent."""
 
-    sent: tuple[str, bytes, bytes] = ("", b"", b"")
+    sent: tuple[str, bytes] = ("", b"")
 
     def ask(self, selector: str, payload: bytes | None = None, *more: Any, **named: Any) -> tuple[bool, bytes]:
         if "/cmd/" in selector:
-            attachment = more[2] if len(more) > 2 else named.get("attachment")
-            self.sent = (selector, payload or b"", msgspec.json.encode(attachment))
+            self.sent = (selector, payload or b"")
         return super().ask(selector, payload, *more, **named)
 
 
-def _raw(client: Client, key: str, payload: bytes, attachment: bytes) -> dict[str, Any]:
-    for reply in client.session.get(key, payload=payload, attachment=attachment, timeout=5.0):
+def _raw(client: Client, key: str, payload: bytes) -> dict[str, Any]:
+    for reply in client.session.get(key, payload=payload, timeout=patience_s()):
         if reply.ok is not None:
             return dict(json.loads(bytes(reply.ok.payload)))
         assert reply.err is not None
-        return dict(refusal(unsealed(bytes(reply.err.payload))[0]))
+        return dict(refusal(bytes(reply.err.payload)))
     return {"accepted": False, "reason": "no answer"}
 
 
 def _opened(endpoint: str, rig: str, key: str) -> _Remembering:
     """On a busy computer a session may need more than one try."""
-    until = time.monotonic() + PATIENCE_S
+    until = time.monotonic() + patience_s()
     while True:
         try:
             return _Remembering(endpoint, rig, key=key)
@@ -106,7 +101,6 @@ def _opened(endpoint: str, rig: str, key: str) -> _Remembering:
 def main(endpoint: str, rig: str, key: str) -> None:
     become_nobody()
     client = _opened(endpoint, rig, key)
-    client.trust._clock_ns = OTHER_CLOCK_NS
     sys.stdout.write("ready\n")
     sys.stdout.flush()
     for line in sys.stdin:
@@ -122,12 +116,11 @@ def main(endpoint: str, rig: str, key: str) -> None:
             case "return":
                 answer = client.return_lease("")
             case "sent":
-                sent, payload, attachment = client.sent
-                answer = {"key": sent, "payload": payload.hex(), "attachment": attachment.hex()}
+                sent, payload = client.sent
+                answer = {"key": sent, "payload": payload.hex()}
             case _:
-                answer = _raw(client, words[0], bytes.fromhex(words[1]), bytes.fromhex(words[2]))
-        has_key = client.trust.secret is not None
-        sys.stdout.write(json.dumps({**answer, "has_operator_key": has_key}) + "\n")
+                answer = _raw(client, words[0], bytes.fromhex(words[1]))
+        sys.stdout.write(json.dumps({**answer, "by_socket": client.route.is_local}) + "\n")
         sys.stdout.flush()
 
 

@@ -13,15 +13,14 @@ import shlex
 import shutil
 import signal
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
 import yaml
 
 from tests.builders.pages import PATIENT
+from tests.builders.waiting import line_of, patience_s, until
 
-LIMIT_S = 120.0  # no test judges it
 _UNIFIED = (pathlib.Path("/sys/fs/cgroup/unified"), pathlib.Path("/sys/fs/cgroup"))
 _BOOT = r"""
 set -e
@@ -97,7 +96,7 @@ class ServiceComputer:
         clean = ["env", "-i", "PATH=/usr/sbin:/usr/bin:/sbin:/bin", "LANG=C.UTF-8", "USER=root", "HOME=/tmp"]
         return subprocess.run(
             ["nsenter", "--target", str(self._init), "--all", "--root", "--wd", *clean, *command],
-            capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=300,
+            capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL, timeout=patience_s(300.0),
         )  # fmt: skip
 
     def put(self, file: pathlib.Path) -> str:
@@ -158,16 +157,17 @@ class ServiceComputer:
                 found[int(pid)] = line.split("\0")
         return found
 
-    def wait_for(self, what: Callable[[], Any], limit_s: float = LIMIT_S) -> Any:
+    def wait_for(self, what: Callable[[], Any]) -> Any:
         """Poll until ``what()`` is true; returns it."""
-        until = time.monotonic() + limit_s
-        while time.monotonic() < until:
+
+        def found() -> Any:
             with contextlib.suppress(OSError):
-                if value := what():
-                    return value
-            time.sleep(0.1)
-        said = self.log.read_text(errors="replace") + (self.journal()[-6000:] if self._init else "")
-        raise AssertionError(f"not within {limit_s} s: {what}\n{said}")
+                return what()
+
+        try:
+            return until(found, line_of(what), log=self.log, every_s=0.1)
+        except AssertionError as error:
+            raise AssertionError(f"{error}\n{self.journal()[-6000:] if self._init else ''}") from None
 
 
 @contextlib.contextmanager

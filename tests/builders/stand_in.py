@@ -20,6 +20,7 @@ from rigctl.control.modes import (
     TRANSITIONS,
     Decision,
     Event,
+    HeldBy,
     Mode,
     Refusal,
     Setting,
@@ -29,7 +30,7 @@ from rigctl.control.modes import (
     next_mode,
 )
 from rigctl.control.safety import Action
-from rigctl.ipc.record import RECORD, REPLY
+from rigctl.ipc.record import RECORD, REPLY, Flag
 from rigctl.ipc.runtime_folder import Runtime
 
 PERIOD_NS = 1_000_000
@@ -78,7 +79,7 @@ class StandIn:
             return
         situation = Situation(
             self.failed,
-            drive_enabled=self.mode is not Mode.DISARMED,
+            armed=self.mode is not Mode.DISARMED,
             slack=self.tension < 5,
             wanted_n=target,
             target_min_n=50.0,
@@ -121,6 +122,9 @@ class StandIn:
         values: dict[str, Any] = dict.fromkeys((field.name for field in RECORD.fields), 0) | {
             "t_ns": now, "tick": tick, "lateness_ns": late, "work_ns": 80_000 + tick % 1000, "mode": int(self.mode),
             "fault": int(self.fault), "tension_n": vertical, "vertical_n": vertical, "target_n": self.target,
+            "sink_mm_s": math.nan, "slack_s": math.nan, "setpoint_n": self.target, "drive_current_a": 0.7,
+            "drive_temperature_c": 25.0, "flags": 0 if self.mode is Mode.DISARMED else int(Flag.DRIVE_ENABLED),
+            "held_by": int(HeldBy.BRAKE if self.mode is Mode.DISARMED else HeldBy.MOTOR),
             "stroke_mm": self.stroke, "tangential_rad": 0.1 * math.sin(now / 5e9), "normal_rad": math.nan,
             "inclination_quality": 1, "frames_sent": tick, "checks": self.failed,
         }  # fmt: skip

@@ -17,6 +17,7 @@ from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.part_file import PartFile
 from tests.builders import daemons
+from tests.builders.waiting import patience_s
 
 RATE_HZ = 1000
 START_NS, OFFSET_NS = 5_000_000_000, 1_700_000_000_000_000_000
@@ -118,5 +119,5 @@ def write(
         part.write({**slots, "holds": np.empty(0, HOLD.dtype)}, waiting, [])
         waiting = []
     part.finish()
-    assert disk.join(60.0), disk.error
+    assert disk.join(patience_s()), disk.error
     return file

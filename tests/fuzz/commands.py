@@ -28,6 +28,7 @@ _OPTIONS: dict[Verb, dict[str, Any]] = {
     Verb.TARGET: {"value": 290.0},
     Verb.CONFIRM_STROKE: {"value": 1.0},
     Verb.MOVE: {"value": 1.0},
+    Verb.CARRY: {"value": 60.0},
     Verb.CALIBRATE: {"value": 300.0, "adopt": False},
     Verb.IDENTIFY: {"tight": True},
     Verb.RESPONSE: {"where": "hold"},

@@ -18,6 +18,7 @@ from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.modes import Mode, Setting, Verb, command_slot
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import Controlword, NmtState
@@ -291,6 +292,9 @@ def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[
     return chance.choice(list(Verb)), chance.uniform(low, high)
 
 
+_CUT = bytes.fromhex("2B40600000000000")  # SDO: 2 bytes to 0x6040, disable voltage
+
+
 class _Judge:
     """Checks commands to the drive and records against their bounds."""
 
@@ -299,6 +303,7 @@ class _Judge:
         self._speed_max = settings.tension.speed_max_mm_s + ROUNDING_MM_S
         self._step_max = settings.tension.acceleration_max_mm_s2 * settings.loop.period_ns * 1e-9 + 2 * ROUNDING_MM_S
         self._command_id = od.DRIVE_RPDO.cob_base + settings.cylinder.node
+        self._drive_sdo = od.SDO_RX_BASE + settings.cylinder.node
         self._ours = {self._command_id, od.SYNC_COB, od.HEARTBEAT_BASE + settings.can.controller_node}
         self._last = 0.0
 
@@ -306,11 +311,13 @@ class _Judge:
         """Check the frames of one tick."""
         self._found.modes.add(loop.machine.mode.name)
         self._found.faults.add(loop.machine.fault.name)
-        told = [message for message in sent if message.arbitration_id == self._command_id]
-        if len(told) != 1 or any(message.arbitration_id not in self._ours for message in sent):
+        commands = [message for message in sent if message.arbitration_id == self._command_id]
+        if loop.machine.action is Action.SILENCE and not commands and all(map(self._of_silence, sent)):
+            return
+        if len(commands) != 1 or any(message.arbitration_id not in self._ours for message in sent):
             self._wrong(loop, f"sent {[hex(message.arbitration_id) for message in sent]}")
             return
-        controlword, velocity = _COMMAND.unpack(told[0].data)
+        controlword, velocity = _COMMAND.unpack(commands[0].data)
         speed = velocity * od.MM_S_PER_VELOCITY_UNIT
         if controlword not in Controlword._value2member_map_:
             self._wrong(loop, f"controlword 0x{controlword:04X}")
@@ -331,3 +338,8 @@ class _Judge:
 
     def _wrong(self, loop: Loop, what: str) -> None:
         self._found.wrong.append(f"tick {self._found.ticks}, {loop.machine.mode.name}: {what}")
+
+    def _of_silence(self, message: can.Message) -> bool:
+        """NMT, SYNC, and power off by SDO: a drive that does not obey is stopped, and then gets no command."""
+        cuts = message.arbitration_id == self._drive_sdo and bytes(message.data) == _CUT
+        return cuts or message.arbitration_id in (od.NMT_COB, od.SYNC_COB)

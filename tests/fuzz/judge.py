@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-PATIENCE_S = 60.0  # far above any expected time: only a hang takes that long
+PATIENCE_S = 60.0  # of processor time, far above any expected: only a hang takes that long
 LONGEST_LINE = 4000
 
 
@@ -67,12 +67,12 @@ def patience() -> Iterator[None]:
     """
 
     def give_up(_number: int, _frame: object) -> None:
-        raise HangsError(f"no answer within {PATIENCE_S:g} s")
+        raise HangsError(f"no answer within {PATIENCE_S:g} s of processor time")
 
-    before = signal.signal(signal.SIGALRM, give_up)
-    signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+    before = signal.signal(signal.SIGPROF, give_up)
+    signal.setitimer(signal.ITIMER_PROF, PATIENCE_S)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)

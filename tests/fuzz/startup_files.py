@@ -105,7 +105,7 @@ class File:
         if len(seal) != 64:
             return mutate.raw(whole, chance)
         with contextlib.suppress(RecursionError, UnicodeEncodeError, ValueError):
-            from rigctl.ipc.folder_files import digest
+            from rigctl.ipc.folder_places import digest
 
             data = json.dumps(mutate.data(json.loads(text), chance)).encode()
             return data + b"\n" + digest(data) + b"\n"

@@ -9,6 +9,8 @@ import sys
 
 import pytest
 
+from tests.builders.waiting import FACTOR
+
 HERE = pathlib.Path(__file__).parent
 CACHE = pathlib.Path(os.environ.get("XDG_CACHE_HOME", pathlib.Path.home() / ".cache"))
 HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
@@ -18,18 +20,19 @@ HOME = pathlib.Path(os.environ.get("GUEST_HOME", CACHE / "rigctl/guest"))
 @pytest.mark.parametrize(
     "tests",
     [
-        pytest.param("socketcan", marks=pytest.mark.smoke),
-        pytest.param("operation", marks=pytest.mark.machine),
-        pytest.param("bus_faults", marks=pytest.mark.machine),
-        "interface",
+        pytest.param(("socketcan",), marks=pytest.mark.smoke),
+        ("interface",),
+        pytest.param(("operation",), marks=pytest.mark.machine),
+        pytest.param(("bus_faults",), marks=pytest.mark.machine),
     ],
+    ids="-".join,
 )
-def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan(tests: str) -> None:
-    file = str(HERE / f"inside/{tests}.py")
-    inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=0", file]
+def test_the_daemon_and_the_simulated_rig_on_a_real_kernels_socketcan(tests: tuple[str, ...]) -> None:
+    files = [str(HERE / f"inside/{name}.py") for name in tests]
+    inside = [sys.executable, "-m", "pytest", "-v", "--durations=0", "--timeout=0", *files]
     result = subprocess.run(
-        [str(HERE / "guest-run"), "-t", "1500", *inside],
-        env={**os.environ, "GUEST_HOME": str(HOME), "OPENBLAS_NUM_THREADS": "1"},
+        [str(HERE / "guest-run"), "-t", "900", *inside],
+        env={**os.environ, "GUEST_HOME": str(HOME), "OPENBLAS_NUM_THREADS": "1", FACTOR: "10"},
         capture_output=True,
         text=True,
         check=False,

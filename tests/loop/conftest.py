@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
 from collections.abc import Callable, Iterator
 
 import pytest
@@ -12,7 +14,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
+from tests.builders.branches import Started, pytest_pyfunc_call
 from tests.builders.paths import ROOT
+
+__all__ = ["pytest_pyfunc_call"]
 
 
 @pytest.fixture(scope="session")
@@ -26,9 +31,44 @@ def gains(settings: RigSettings) -> Gains:
 
 
 @pytest.fixture
-def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """A running rig, DISARMED, every signal fresh."""
-    with lockstep(settings, gains) as subject:
+def rig_settings(settings: RigSettings) -> RigSettings:
+    """Rig file of the fixture ``rig``: the paper's, where a module has no other."""
+    return settings
+
+
+StartedIn = Callable[[RigSettings, Gains, Mode], Started]
+
+
+@pytest.fixture(scope="session")
+def started() -> Iterator[StartedIn]:
+    """Rigs in a mode, into which an operator has taken each once."""
+    found: dict[tuple[str, Gains, Mode], Started] = {}
+    with contextlib.ExitStack() as rigs:
+
+        def started_in(settings: RigSettings, gains: Gains, mode: Mode) -> Started:
+            key = settings.model_dump_json(), gains, mode
+            if key not in found:
+                subject = rigs.enter_context(lockstep(settings, gains))
+                subject.run(0.2)
+                entered(subject, mode)
+                found[key] = Started.now(subject)
+            return found[key]
+
+        yield started_in
+
+
+@pytest.fixture
+def rig(
+    request: pytest.FixtureRequest, rig_settings: RigSettings, gains: Gains, started: StartedIn
+) -> Iterator[Lockstep]:
+    """A running rig, every signal fresh: DISARMED, or in the mode that the mark ``starts_in`` or a parameter names."""
+    mark = request.node.get_closest_marker("starts_in")
+    mode = mark.args[0] if mark is not None else getattr(request, "param", None)
+    if mode is not None:
+        mode = request.node.callspec.params[mode] if isinstance(mode, str) else mode
+        yield started(rig_settings, gains, mode).go_on(request)
+        return
+    with lockstep(rig_settings, gains) as subject:
         subject.run(0.2)
         yield subject
 
@@ -36,20 +76,21 @@ def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
 @pytest.fixture
 def enter(rig: Lockstep) -> Callable[[Mode], None]:
     """Take the rig to a mode as an operator does."""
+    return functools.partial(entered, rig)
 
-    def to(mode: Mode) -> None:
-        if mode is Mode.DISARMED:
-            return
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        if mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING):
-            assert rig.command(Verb.TENSION) is Refusal.NONE
-            rig.run(2.0)
-        if mode in (Mode.COMPENSATING, Mode.RELEASING):
-            rig.run_until(Mode.COMPENSATING, 10.0)
-            rig.run(0.5)
-        if mode is Mode.RELEASING:
-            assert rig.command(Verb.RELEASE) is Refusal.NONE
-            rig.run(1.0)
-        assert rig.loop.machine.mode is mode
 
-    return to
+def entered(rig: Lockstep, mode: Mode) -> None:
+    """Take a rig to a mode as an operator does."""
+    if mode is Mode.DISARMED:
+        return
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    if mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING):
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(2.0)
+    if mode in (Mode.COMPENSATING, Mode.RELEASING):
+        rig.run_until(Mode.COMPENSATING, 10.0)
+        rig.run(0.5)
+    if mode is Mode.RELEASING:
+        assert rig.command(Verb.RELEASE) is Refusal.NONE
+        rig.run(1.0)
+    assert rig.loop.machine.mode is mode

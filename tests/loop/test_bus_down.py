@@ -37,10 +37,10 @@ def told(rig: Lockstep) -> list[str]:
 
 
 @pytest.mark.parametrize(("down_s", "mode"), [(0.008, Mode.COMPENSATING), (0.2, Mode.FAULT)])
+@pytest.mark.starts_in(Mode.COMPENSATING)
 def test_an_interface_down_and_up(
     rig: Lockstep, enter: Callable[[Mode], None], monkeypatch: pytest.MonkeyPatch, down_s: float, mode: Mode
 ) -> None:
-    enter(Mode.COMPENSATING)
     rig.events.read()
     stroke_mm, ticks = rig.rig.truth.stroke_mm, rig.loop._logbook.tick
     with monkeypatch.context() as patch:

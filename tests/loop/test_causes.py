@@ -75,7 +75,7 @@ def test_an_emergency_stop_pressed_after_another_fault_is_shown_first(rig: Locks
     assert first["blocks_reset"]
     why = figures.why(state)
     assert why.startswith("E_STOP: emergency stop pressed (drive's input); latched: BUS_SILENT: no frame on the bus")
-    rows = [value for label, value, _ in status.rows(state | {"warnings": []}) if label == "stands"]
+    rows = [value for label, value, _ in status.rows(state | {"warnings": []}) if label == "active"]
     assert rows[0].startswith("E_STOP: emergency stop pressed (drive's input), since ")
     assert rows[0].endswith("blocks reset")
 
@@ -105,9 +105,9 @@ def test_what_is_gone_is_no_longer_shown_and_told_as_over(rig: Lockstep, shown: 
     rig.run(0.05)
     state = shown.state()
     assert state["causes"] == []
-    assert figures.causes(state) == ["no cause stands any more: rigctl reset acknowledges the fault"]
+    assert figures.causes(state) == ["no cause is active any more; latched until rigctl reset"]
     (over,) = [event for event in rig.events.read() if event["kind"] == Kind.CAUSE_OVER]
-    assert worded(over["kind"], over["a"], over["b"], 0.0, 0.0, "").text == "CELL_STALE no longer stands"
+    assert worded(over["kind"], over["a"], over["b"], 0.0, 0.0, "").text == "CELL_STALE is cleared"
     assert rig.command(Verb.RESET) is Refusal.NONE
     assert figures.causes(shown.state()) == []
 
@@ -176,7 +176,7 @@ def test_rows_of_one_fault_with_other_reactions_are_told_apart(rig: Lockstep, sh
 
 def test_what_the_state_says_blocks_a_reset_is_what_does(rig: Lockstep, shown: Shown) -> None:
     """A limit of the drive's own may stand until its fault is reset."""
-    rig.rig.drive._speed_max_mm_s = -1.0
+    rig.rig.plant.parameters["stroke_high"] = rig.rig.plant.state["motor"]
     rig.run(0.5)
     (limited,) = [cause for cause in shown.state()["causes"] if cause["fault"] == "DRIVE_REFUSES"]
     assert not limited["blocks_reset"]

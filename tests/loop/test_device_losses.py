@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
@@ -16,19 +14,15 @@ from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
 from tests.builders.loop_frames import assert_held, events, frame, nmt, stop_node
 
-Enter = Callable[[Mode], None]
 ACTIVE = [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]
 
 
-@pytest.mark.parametrize("mode", ACTIVE)
+@pytest.mark.parametrize("rig", ACTIVE, indirect=["rig"])
 @pytest.mark.parametrize(
     ("device", "fault"),
     [("tension_cell", Fault.CELL_STALE), ("inclinometer", Fault.INCLINATION_STALE), ("cylinder", Fault.DRIVE_STALE)],
 )
-def test_a_device_that_goes_silent_ends_in_hold_latched(
-    rig: Lockstep, enter: Enter, mode: Mode, device: str, fault: Fault
-) -> None:
-    enter(mode)
+def test_a_device_that_goes_silent_ends_in_hold_latched(rig: Lockstep, device: str, fault: Fault) -> None:
     stop_node(rig, getattr(rig.settings, device).node)
     limit = rig.settings.safety.inclination_stale_ms if device == "inclinometer" else rig.settings.safety.stale_ms
     records = rig.run((limit + 25) * 1e-3)
@@ -38,19 +32,20 @@ def test_a_device_that_goes_silent_ends_in_hold_latched(
     tripped = int(np.argmax(records["mode"] == Mode.FAULT))
     assert tripped <= limit + (11 if device == "inclinometer" else 2)
     assert_held(rig, float(records["tension_n"][tripped]), float(records["stroke_mm"][tripped]))
-    assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    if device != "cylinder":  # a silent drive is left to its own supervision, and a reset starts it up again
+        assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert rig.command(Verb.TENSION) is Refusal.WRONG_MODE
 
 
-def test_a_drive_that_stays_silent_is_told_to_stop_by_itself(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_drive_that_stays_silent_is_left_to_its_own_supervision(rig: Lockstep) -> None:
     rig.events.read()
     stop_node(rig, rig.settings.cylinder.node)
-    rig.run(0.3)
-    assert rig.loop.machine.action is Action.HOLD
+    rig.run(0.05)
+    assert rig.loop.machine.action is Action.HOLD  # a burst of lost frames is over by then
     rig.run(0.4)
-    assert rig.loop.machine.action is Action.QUICK_STOP
-    assert events(rig).count(Kind.ESCALATION) == 1
+    assert rig.loop.machine.action is Action.SILENCE
+    assert events(rig).count(Kind.ESCALATION) == 2  # quick stop, then silence
 
 
 def test_a_sample_that_does_not_come_grows_older_by_a_tick_each_tick(rig: Lockstep) -> None:
@@ -59,8 +54,8 @@ def test_a_sample_that_does_not_come_grows_older_by_a_tick_each_tick(rig: Lockst
     assert np.array_equal(ages - ages[0], np.arange(len(ages)) * rig.settings.loop.period_ns)
 
 
-def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep) -> None:
     stop_node(rig, rig.settings.tension_cell.node)
     rig.run(0.1)
     assert rig.loop.machine.mode == Mode.FAULT
@@ -73,8 +68,8 @@ def test_a_fault_is_left_by_a_reset_once_its_cause_is_gone(rig: Lockstep, enter:
     rig.run_until(Mode.COMPENSATING, 5.0)
 
 
-def test_a_drive_fault_is_latched_and_reset_clears_both(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_drive_fault_is_latched_and_reset_clears_both(rig: Lockstep) -> None:
     before = rig.rig.truth
     stop_node(rig, rig.settings.cylinder.node)
     rig.rig.receive(nmt(1, rig.settings.cylinder.node))
@@ -89,8 +84,8 @@ def test_a_drive_fault_is_latched_and_reset_clears_both(rig: Lockstep, enter: En
     assert rig.loop.machine.mode == Mode.HOLD
 
 
-def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lockstep) -> None:
     before = rig.rig.truth
     cell = rig.settings.tension_cell.node
     stop_node(rig, cell)
@@ -126,8 +121,8 @@ def test_a_device_that_booted_has_lost_its_settings_and_cannot_be_armed(rig: Loc
     assert rig.loop.machine.mode is Mode.DISARMED
 
 
-def test_a_device_that_boots_while_compensating_trips(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_device_that_boots_while_compensating_trips(rig: Lockstep) -> None:
     before = rig.rig.truth
     cell = rig.settings.tension_cell.node
     rig.rig.receive(nmt(0x82, cell))
@@ -139,10 +134,8 @@ def test_a_device_that_boots_while_compensating_trips(rig: Lockstep, enter: Ente
 
 
 @pytest.mark.parametrize("angle_deg", [31.0, 60.0, 120.0, -180.0])
-def test_an_inclination_beyond_the_sensors_range_never_reaches_the_law(
-    rig: Lockstep, enter: Enter, angle_deg: float
-) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_an_inclination_beyond_the_sensors_range_never_reaches_the_law(rig: Lockstep, angle_deg: float) -> None:
     before = rig.rig.truth
     slope = rig.settings.inclinometer.node
     stop_node(rig, slope)
@@ -154,10 +147,8 @@ def test_an_inclination_beyond_the_sensors_range_never_reaches_the_law(
 
 
 @pytest.mark.parametrize("tension_n", [20_000.0, 2_147_000.0, -2_147_000.0])
-def test_one_sample_beyond_the_cells_range_trips_and_moves_nothing(
-    rig: Lockstep, enter: Enter, tension_n: float
-) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_one_sample_beyond_the_cells_range_trips_and_moves_nothing(rig: Lockstep, tension_n: float) -> None:
     before = rig.rig.truth
     rig.inject(frame(od.TPDO1_BASE + rig.settings.tension_cell.node, od.CELL_TPDO.codec.pack(int(tension_n * 1e3), 0)))
     records = rig.run(0.01)
@@ -165,8 +156,8 @@ def test_one_sample_beyond_the_cells_range_trips_and_moves_nothing(
     assert_held(rig, before.tension_n, before.stroke_mm)
 
 
-def test_a_tension_lost_while_tensioning_stops_the_cylinder(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.TENSIONING)
+@pytest.mark.starts_in(Mode.TENSIONING)
+def test_a_tension_lost_while_tensioning_stops_the_cylinder(rig: Lockstep) -> None:
     cell = rig.settings.tension_cell.node
     stop_node(rig, cell)
     before = rig.rig.truth
@@ -177,8 +168,8 @@ def test_a_tension_lost_while_tensioning_stops_the_cylinder(rig: Lockstep, enter
     assert rig.rig.truth.stroke_mm - before.stroke_mm < 1.0
 
 
-def test_a_drive_that_moves_by_somebody_elses_command_trips(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_drive_that_moves_by_somebody_elses_command_trips(rig: Lockstep) -> None:
     for _ in range(400):
         rig.inject(frame(od.RPDO1_BASE + rig.settings.cylinder.node, od.DRIVE_RPDO.codec.pack(0x0F, -5000)))
         rig.inject(frame(od.SYNC_COB, b""))

@@ -34,7 +34,9 @@ def demo(settings: RigSettings, folder: pathlib.Path | None = None) -> Summary:
     return play_lockstep(settings, settings.demo, lambda _moment, _step: None)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize(
+    "variant", ["as_sold", *(pytest.param(one, marks=pytest.mark.long) for one in VARIANTS if one != "as_sold")]
+)
 def test_the_demo_passes_on_every_variant(variant: str) -> None:
     summary = demo(with_set(variant))
     assert summary.passed

@@ -21,7 +21,6 @@ from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
 from tests.builders.rig_bench import SAME_CLOCKS, changed
 
-Enter = Callable[[Mode], None]
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 
 
@@ -41,10 +40,8 @@ def carried(rig: Lockstep, seconds: float = 1.0) -> bool:
 
 
 @pytest.mark.parametrize("mode", ARMED)
-def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(
-    rig: Lockstep, enter: Enter, mode: Mode
-) -> None:
-    enter(mode)
+@pytest.mark.starts_in("mode")
+def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(rig: Lockstep, mode: Mode) -> None:
     before = rig.rig.truth.tension_n
     rig.rig.drive.press_e_stop(True)
     for _ in range(2):  # the emergency message comes long before the input's next status
@@ -78,8 +75,8 @@ def test_an_emergency_stop_is_latched_while_disarmed_and_a_short_press_too(rig: 
     assert rig.command(Verb.ARM) is Refusal.NONE
 
 
-def test_without_its_message_the_input_alone_is_seen_with_the_next_status(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_without_its_message_the_input_alone_is_seen_with_the_next_status(rig: Lockstep) -> None:
     rig.rig.drive.e_stop_pressed = True  # a drive that mirrors the input and does not react
     rig.run(status_period_s(rig) + 0.002)
     assert rig.loop.machine.fault is Fault.E_STOP
@@ -100,8 +97,8 @@ def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lo
     assert Check.E_STOP in Check(rig.loop._orders.failed_checks())
 
 
-def test_current_and_temperature_are_the_drives(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_current_and_temperature_are_the_drives(rig: Lockstep) -> None:
     snapshot, truth = rig.loop.observer.snapshot, rig.rig.truth
     simulation = rig.settings.simulation
     assert simulation is not None
@@ -138,8 +135,8 @@ def moving(rig: Lockstep) -> None:
     assert abs(rig.rig.truth.speed_mm_s) > 5.0
 
 
-def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(rig: Lockstep) -> None:
     moving(rig)
     before = rig.rig.truth
     rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
@@ -155,8 +152,8 @@ def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(r
 
 
 @pytest.mark.parametrize("speed_mm_s", [10.0, -10.0])
-def test_a_drive_that_runs_away_is_cut_and_its_brake_closes(rig: Lockstep, enter: Enter, speed_mm_s: float) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_drive_that_runs_away_is_cut_and_its_brake_closes(rig: Lockstep, speed_mm_s: float) -> None:
     drive = rig.rig.drive
     drive.defect = lambda speed, closed: (speed_mm_s if drive.control.stage.powered else speed, closed)
     began_ns = rig.clock.now()
@@ -308,14 +305,12 @@ def test_a_drive_keeps_its_power_for_the_time_it_needs_to_stop(
 
 
 @pytest.mark.parametrize("before", [Mode.TENSIONING, Mode.HOLD])
-def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(
-    rig: Lockstep, enter: Enter, before: Mode
-) -> None:
+@pytest.mark.starts_in("before")
+def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(rig: Lockstep, before: Mode) -> None:
     """Also where nothing moves: a held stroke is commanded against a drive that creeps, until the end begins."""
-    enter(before)
     if before is Mode.HOLD:
         rig.rig.drive.defect = lambda speed, closed: (speed + 0.07, closed)
-        rig.run(3.0)
+        rig.run(1.0)
     assert rig.run(0.01)["command_mm_s"][-1] != 0.0
     rig.give(Verb.HOLD)
     rig.give(Verb.DISARM)
@@ -326,10 +321,8 @@ def test_ten_commands_of_no_speed_precede_the_end_of_the_drives_power(
 
 
 @pytest.mark.parametrize("end", ["disarm", "stop"])
-def test_a_stroke_that_never_reads_as_at_rest_delays_the_end_by_two_seconds_at_most(
-    rig: Lockstep, enter: Enter, end: str
-) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_stroke_that_never_reads_as_at_rest_delays_the_end_by_two_seconds_at_most(rig: Lockstep, end: str) -> None:
     rig.run(0.5)
     status = objects.TPDO1_BASE + rig.settings.cylinder.node
 

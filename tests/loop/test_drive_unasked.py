@@ -70,10 +70,9 @@ def test_a_tool_that_comes_in_the_very_tick_of_arm_is_seen_before_it(rig: Lockst
     assert Check(int(rig.reply["checks"])) & Check.DRIVE_REFUSES
 
 
-@pytest.mark.parametrize("mode", ARMED)
-def test_our_own_drive_is_no_stranger(rig: Lockstep, enter: Enter, mode: Mode) -> None:
+@pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
+def test_our_own_drive_is_no_stranger(rig: Lockstep) -> None:
     """Arming, disarming and cancelling an arm: the loop has enabled the drive, or switches it off."""
-    enter(mode)
     rig.command(Verb.HOLD)
     rig.run(0.1)
     assert rig.command(Verb.DISARM) is Refusal.NONE
@@ -93,8 +92,8 @@ def test_an_arm_that_is_called_off_leaves_no_stranger(rig: Lockstep, ticks: int)
     assert rig.loop.machine.fault is Fault.NONE
 
 
-def test_a_drive_that_stays_enabled_when_told_to_go_off_trips(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_drive_that_stays_enabled_when_told_to_go_off_trips(rig: Lockstep) -> None:
     enabled = int(objects.DriveState.OPERATION_ENABLED) | objects.STATUS_REMOTE | objects.STATUS_FOLLOWS
     rig.rig.drive.distort(objects.STATUSWORD, 0, lambda _: enabled)
     assert rig.command(Verb.DISARM) is Refusal.NONE
@@ -113,10 +112,10 @@ BITS = [
 
 
 @pytest.mark.parametrize(("bit", "on", "persistence_ms", "action"), BITS)
+@pytest.mark.starts_in(Mode.HOLD)
 def test_a_bit_of_the_statusword_trips_once_it_lasts(
-    rig: Lockstep, enter: Enter, bit: int, on: bool, persistence_ms: int, action: Action
+    rig: Lockstep, bit: int, on: bool, persistence_ms: int, action: Action
 ) -> None:
-    enter(Mode.HOLD)
     rig.events.read()
     status_bit(rig, bit, on=on)
     rig.run((persistence_ms - 1) * 1e-3)
@@ -159,8 +158,8 @@ def test_the_simulated_drive_sets_its_bits_as_cia_402_says(rig: Lockstep, enter:
 
 # -- heartbeats --------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("node", DEVICES)
-def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, enter: Enter, node: int) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, node: int) -> None:
     rig.events.read()
     gone = objects.HEARTBEAT_BASE + node
     rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == gone else (frame,)
@@ -178,8 +177,8 @@ def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, en
 
 
 @pytest.mark.parametrize("node", DEVICES)
-def test_a_heartbeat_that_says_pre_operational_is_a_fault_at_once(rig: Lockstep, enter: Enter, node: int) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_heartbeat_that_says_pre_operational_is_a_fault_at_once(rig: Lockstep, node: int) -> None:
     rig.events.read()
     rig.inject(FRAME.pack(objects.HEARTBEAT_BASE + node, 1, bytes([objects.NmtState.PRE_OPERATIONAL])))
     rig.run(0.005)

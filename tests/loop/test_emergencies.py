@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 
 import pytest
 
@@ -15,7 +14,6 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
 
 CELL, DRIVE = 2, 4
-Enter = Callable[[Mode], None]
 
 
 def send(rig: Lockstep, node: int, code: int, register: int, manufacturer: bytes = bytes(5)) -> list[str]:
@@ -30,18 +28,18 @@ def send(rig: Lockstep, node: int, code: int, register: int, manufacturer: bytes
 
 @pytest.mark.parametrize("node", [CELL, DRIVE])
 @pytest.mark.parametrize("code", [0x0000, 0x0001, 0x00FF])
-def test_a_code_of_class_00_is_no_error(rig: Lockstep, enter: Enter, node: int, code: int) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_code_of_class_00_is_no_error(rig: Lockstep, node: int, code: int) -> None:
     (said,) = send(rig, node, code, 0)
     assert said.startswith(f"node {node}: emergency over")
     assert rig.loop.machine.fault is Fault.NONE
 
 
-def test_several_errors_of_a_device_are_over_when_its_register_says_so(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_several_errors_of_a_device_are_over_when_its_register_says_so(rig: Lockstep) -> None:
     said = send(rig, CELL, 0x4210, 0x09)
     assert said[0] == "node 2: emergency 0x4210, device temperature; error register 0x09: generic, temperature"
-    assert said[1].endswith("a sensor's emergency message stands (node 2: 0x4210, device temperature)")
+    assert said[1].endswith("a sensor's emergency message is active (node 2: 0x4210, device temperature)")
     send(rig, CELL, 0x5010, 0x29)
     (said_over,) = send(rig, CELL, 0x0000, 0x09)
     assert (
@@ -52,14 +50,14 @@ def test_several_errors_of_a_device_are_over_when_its_register_says_so(rig: Lock
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 
-def test_a_register_that_says_so_is_an_error_whose_message_was_lost(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_register_that_says_so_is_an_error_whose_message_was_lost(rig: Lockstep) -> None:
     send(rig, CELL, 0x0000, 0x11)
     assert rig.loop.machine.fault is Fault.SENSOR_EMERGENCY
 
 
-def test_a_makers_own_code_is_told_with_its_bytes(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_makers_own_code_is_told_with_its_bytes(rig: Lockstep) -> None:
     said, _ = send(rig, DRIVE, 0xFF10, 0x81, bytes([0x12, 0x34, 0, 0, 0xAB]))
     assert said == (
         "node 4: emergency 0xFF10, device specific; error register 0x81: generic, manufacturer; "

@@ -17,8 +17,6 @@ from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
 
-Enter = Callable[[Mode], None]
-
 
 def with_error(rig: Lockstep, error: Callable[[int], float]) -> None:
     """Add ``error``, in N by the number of the sample from now on, to the cell's reading."""
@@ -32,8 +30,8 @@ def with_error(rig: Lockstep, error: Callable[[int], float]) -> None:
     measurement.sample = wrong
 
 
-def test_a_spike_of_the_cell_is_left_out_and_moves_nothing(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_spike_of_the_cell_is_left_out_and_moves_nothing(rig: Lockstep) -> None:
     with_error(rig, lambda n: 80.0 if n == 10 else 0.0)
     records = rig.run(1.0)
     rejected = records[records["tension_verdict"] == Verdict.REJECTED]
@@ -43,8 +41,8 @@ def test_a_spike_of_the_cell_is_left_out_and_moves_nothing(rig: Lockstep, enter:
     assert np.ptp(records["stroke_mm"]) < 0.02
 
 
-def test_a_cell_that_jumps_and_stays_there_is_a_fault_within_20_ms(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_cell_that_jumps_and_stays_there_is_a_fault_within_20_ms(rig: Lockstep) -> None:
     before = rig.rig.truth.stroke_mm
     with_error(rig, lambda _n: 40.0)  # far from any limit of the tension
     records = rig.run(0.1)
@@ -55,8 +53,8 @@ def test_a_cell_that_jumps_and_stays_there_is_a_fault_within_20_ms(rig: Lockstep
     assert abs(rig.rig.truth.stroke_mm - before) < 0.02
 
 
-def test_a_jolt_of_the_mechanism_is_believed(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_jolt_of_the_mechanism_is_believed(rig: Lockstep) -> None:
     rise = 0.02
     track = Track(
         segments=np.array([(0.0, 0.0, 0.0, 3.0 / rise**2, -2.0 / rise**3), (rise, 1.0, 0.0, 0.0, 0.0)]), end=rise
@@ -69,8 +67,8 @@ def test_a_jolt_of_the_mechanism_is_believed(rig: Lockstep, enter: Enter) -> Non
     assert np.max(np.abs(late["estimate_n"] - 300.0)) < 0.3  # back within 0.1 %
 
 
-def test_every_sensor_says_what_became_of_its_samples(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_every_sensor_says_what_became_of_its_samples(rig: Lockstep) -> None:
     records = rig.run(2.0)
     assert set(np.unique(records["tension_verdict"])) == {Verdict.USED}
     assert set(np.unique(records["speed_verdict"])) == {Verdict.USED}
@@ -87,8 +85,8 @@ def test_a_slack_rope_is_idle(rig: Lockstep) -> None:
     assert set(np.unique(rig.run(0.5)["tension_verdict"])) == {Verdict.IDLE}
 
 
-def test_the_estimated_inclination_follows_the_rope_between_the_samples(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_the_estimated_inclination_follows_the_rope_between_the_samples(rig: Lockstep) -> None:
     move = out_and_back(math.radians(4.0), math.radians(0.5), math.radians(0.5))
     rig.rig.plant.start_motion({MECHANISM: move}, rig.rig.plant.t_ns)
     errors, rates = [], []

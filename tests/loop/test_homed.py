@@ -18,7 +18,6 @@ from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 
-Enter = Callable[[Mode], None]
 JUMP_UM = 52_000
 
 
@@ -99,11 +98,8 @@ def test_a_waiver_arms_all_the_same_and_says_so(start: Callable[..., Lockstep]) 
     assert strokes(rig) == ["stroke 0.00 mm: 52.00 mm when last known, waived: simulated rig"]
 
 
-@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING])
-def test_a_jump_while_armed_takes_the_drive_off_power_and_waits_for_the_operator(
-    rig: Lockstep, enter: Enter, mode: Mode
-) -> None:
-    enter(mode)
+@pytest.mark.parametrize("rig", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING], indirect=["rig"])
+def test_a_jump_while_armed_takes_the_drive_off_power_and_waits_for_the_operator(rig: Lockstep) -> None:
     before_mm = rig.rig.truth.stroke_mm
     rig.rig.drive.distort(*STROKE, lambda raw: raw - JUMP_UM)
     rig.run(0.5)
@@ -150,6 +146,6 @@ def test_no_stroke_is_confirmed_that_the_drive_does_not_say_now(rig: Lockstep) -
     assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.STROKE_DIFFERS
 
 
-def test_confirming_needs_a_rig_at_rest(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_confirming_needs_a_rig_at_rest(rig: Lockstep) -> None:
     assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.WRONG_MODE

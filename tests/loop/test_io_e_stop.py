@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
@@ -25,7 +23,6 @@ from rigctl.devices import objects, startup
 
 IO = IoSettings(e_stop_input=9)
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-Enter = Callable[[Mode], None]
 
 
 def fitted(settings: RigSettings, **changes: object) -> RigSettings:
@@ -33,11 +30,9 @@ def fitted(settings: RigSettings, **changes: object) -> RigSettings:
 
 
 @pytest.fixture
-def rig(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """The rig of the other tests, with an I/O node; ``enter`` takes this one to a mode."""
-    with lockstep(fitted(settings), gains) as subject:
-        subject.run(0.2)
-        yield subject
+def rig_settings(settings: RigSettings) -> RigSettings:
+    """The paper's, with an I/O node."""
+    return fitted(settings)
 
 
 def node(rig: Lockstep) -> IoNode:
@@ -65,10 +60,8 @@ def trip_value(rig: Lockstep) -> float:
 
 
 @pytest.mark.parametrize("mode", ARMED)
-def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
-    rig: Lockstep, enter: Enter, mode: Mode
-) -> None:
-    enter(mode)
+@pytest.mark.starts_in("mode")
+def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: Lockstep, mode: Mode) -> None:
     rig.events.read()
     before = rig.rig.truth
     node(rig).press_e_stop(True)
@@ -93,8 +86,9 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(
     assert machine.fault is Fault.E_STOP  # latched
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.2)
-    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
-    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert (machine.mode, machine.fault) == (Mode.HOLD, Fault.NONE)
+    assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED, "a reset switches nothing on"
+    assert rig.command(Verb.TENSION) is Refusal.NONE
 
 
 def test_while_disarmed_it_is_latched_too_and_nobody_arms(rig: Lockstep) -> None:
@@ -110,8 +104,8 @@ def test_while_disarmed_it_is_latched_too_and_nobody_arms(rig: Lockstep) -> None
     assert rig.command(Verb.ARM) is Refusal.NONE
 
 
-def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lockstep) -> None:
     cell = objects.TPDO1_BASE + rig.settings.tension_cell.node
     rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == cell else (frame,)
     rig.run(0.05)
@@ -127,8 +121,8 @@ def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lo
     assert rig.reply["cause"] == Fault.E_STOP
 
 
-def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig: Lockstep) -> None:
     rig.rig.drive.press_e_stop(True)
     node(rig).press_e_stop(True)
     rig.run(0.5)
@@ -145,10 +139,8 @@ def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig:
 
 
 @pytest.mark.parametrize("mode", ARMED)
-def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(
-    rig: Lockstep, enter: Enter, mode: Mode
-) -> None:
-    enter(mode)
+@pytest.mark.starts_in("mode")
+def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(rig: Lockstep, mode: Mode) -> None:
     before = rig.rig.truth
     silence(rig)
     ticks = ticks_until_fault(rig, IO.stale_ms + 2)
@@ -157,7 +149,7 @@ def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(
     assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP_UNSEEN, Action.HOLD)
     tripped = rig.rig.truth
     rig.run(0.5)
-    assert rig.rig.drive.control.enabled  # under power: the stop is not known to be pressed
+    assert machine.action is Action.HOLD  # stopped by the motor: the stop is not known to be pressed
     assert rig.rig.truth.stroke_mm == pytest.approx(tripped.stroke_mm, abs=0.3)
     if mode in (Mode.HOLD, Mode.COMPENSATING):
         assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
@@ -193,18 +185,16 @@ def test_pressed_and_then_silent_it_stays_pressed(rig: Lockstep) -> None:
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
 
 
-def test_a_node_that_starts_anew_has_lost_its_settings_and_the_daemon_is_to_be_started_anew(
-    rig: Lockstep, enter: Enter
-) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_node_that_starts_anew_has_lost_its_settings_and_the_daemon_is_to_be_started_anew(rig: Lockstep) -> None:
     node(rig).reset_node()
     rig.run(0.01)
     assert rig.loop.machine.fault is Fault.DEVICE_RESTARTED
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
 
 
-def test_lost_frames_are_ridden_through(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_lost_frames_are_ridden_through(rig: Lockstep) -> None:
     inputs, came = objects.TPDO1_BASE + IO.node, [0]
 
     def tap(_: object, frame: bytes) -> tuple[bytes, ...]:

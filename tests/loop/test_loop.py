@@ -15,6 +15,7 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.metrics import tension_error as metrics
@@ -23,8 +24,8 @@ from tests.builders.loop_frames import assert_held, events, stop_node
 Enter = Callable[[Mode], None]
 
 
-def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep) -> None:
     rig.run(2.0)
     truth = [rig.rig.truth.vertical_n for _ in rig.run(1.0)]
     assert max(metrics.largest_and_rms_pct(np.array(truth), 300.0)) < 0.05
@@ -57,8 +58,8 @@ def test_a_loop_that_no_gateway_has_told_its_checks_arms_nothing(settings: RigSe
         assert not int(rig.reply["checks"])
 
 
-def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.TENSIONING)
+@pytest.mark.starts_in(Mode.TENSIONING)
+def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep) -> None:
     records = rig.run(6.0)
     assert records["mode"][-1] == Mode.COMPENSATING
     assert records["tension_n"].max() < 301.0
@@ -66,8 +67,8 @@ def test_tensioning_never_overshoots_by_more_than_a_newton(rig: Lockstep, enter:
     assert np.abs(ramp).max() < 1.5 * rig.settings.tension.ramp_n_s
 
 
-def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep) -> None:
     assert rig.command(Verb.TARGET, 280.0) is Refusal.NONE
     rig.run(2.0)
     assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
@@ -76,8 +77,8 @@ def test_a_new_target_is_reached_on_the_ramp(rig: Lockstep, enter: Enter) -> Non
     assert rig.rig.truth.vertical_n == pytest.approx(280.0, abs=0.2)
 
 
-def test_gains_change_in_the_closed_loop_without_a_bump(rig: Lockstep, enter: Enter, gains: Gains) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_gains_change_in_the_closed_loop_without_a_bump(rig: Lockstep, gains: Gains) -> None:
     assert rig.command(Verb.TARGET, 290.0) is Refusal.NONE
     before = rig.run(0.5)  # in the middle of the ramp, where the errors are largest
     rig.events.read()
@@ -93,10 +94,10 @@ def test_gains_change_in_the_closed_loop_without_a_bump(rig: Lockstep, enter: En
 
 
 @pytest.mark.parametrize("values", [(math.nan, 0.5, 1.0), (1.0, -0.1, 1.0), (1.0, 0.5, math.inf)])
+@pytest.mark.starts_in(Mode.COMPENSATING)
 def test_gains_that_are_none_are_refused_and_change_nothing(
-    rig: Lockstep, enter: Enter, gains: Gains, values: tuple[float, float, float]
+    rig: Lockstep, gains: Gains, values: tuple[float, float, float]
 ) -> None:
-    enter(Mode.COMPENSATING)
     assert rig.command(Setting.LAW_GAINS, *values) is Refusal.OUT_OF_RANGE
     assert rig.loop.law._gains == gains
 
@@ -115,8 +116,8 @@ def test_a_rope_that_is_loaded_while_the_drive_is_off_is_believed_at_once(rig: L
         loaded.run_until(Mode.COMPENSATING, 5.0)
 
 
-def test_mode_changes_are_bumpless(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_mode_changes_are_bumpless(rig: Lockstep) -> None:
     rig.run(2.0)
     for verb in (Verb.HOLD, Verb.TENSION):
         assert rig.command(verb) is Refusal.NONE
@@ -126,8 +127,8 @@ def test_mode_changes_are_bumpless(rig: Lockstep, enter: Enter) -> None:
         assert steps.max() <= rig.settings.tension.acceleration_max_mm_s2 * 1e-3 * (1 + 1e-9)
 
 
-def test_the_error_stays_within_the_demo_limits_while_the_mechanism_moves(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_the_error_stays_within_the_demo_limits_while_the_mechanism_moves(rig: Lockstep) -> None:
     rig.run(2.0)
     assert rig.rig.start_motion()
     truth = []
@@ -159,8 +160,8 @@ def test_two_runs_give_byte_identical_frames(settings: RigSettings, gains: Gains
     assert first == second
 
 
-def test_disarming_stops_the_stroke_before_the_power_goes(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.TENSIONING)
+@pytest.mark.starts_in(Mode.TENSIONING)
+def test_disarming_stops_the_stroke_before_the_power_goes(rig: Lockstep) -> None:
     rig.command(Verb.HOLD)
     assert rig.rig.truth.speed_mm_s > 1.0
     assert rig.command(Verb.DISARM) is Refusal.NONE
@@ -204,11 +205,9 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
         rig.run_until(Mode.COMPENSATING, 5.0)
 
 
-def test_what_a_tick_found_is_reported_though_its_record_fails(
-    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_what_a_tick_found_is_reported_though_its_record_fails(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
     """A trip, its change of mode, a further cause and an emergency of a device in the very tick without a record."""
-    enter(Mode.COMPENSATING)
     rig.run(0.02)
     rig.events.read()
 
@@ -229,10 +228,10 @@ def test_what_a_tick_found_is_reported_though_its_record_fails(
 
 
 @pytest.mark.parametrize("step", ["_speed", "_send", "_record"])
-def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_stroke(
-    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch, step: str
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_stretch_tolerated_in_motion_is_no_cause_once_an_exception_holds_the_stroke(
+    rig: Lockstep, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:
-    enter(Mode.COMPENSATING)
     rig.loop.observer._plausibility.unexplained_mm = (
         8.0  # below the limit of a mode that moves, above the limit at rest
     )
@@ -248,11 +247,11 @@ def test_stretch_tolerated_in_motion_costs_no_power_once_an_exception_holds_the_
     assert not any(
         event["a"] == Fault.STRETCH_UNEXPLAINED for event in rig.events.read() if event["kind"] == Kind.CAUSE
     )
-    assert rig.rig.drive.control.enabled
+    assert rig.loop.machine.action is Action.HOLD
 
 
-def test_a_burst_of_overruns_trips(rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_burst_of_overruns_trips(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
     plain = rig.clock.next_tick
     limit = rig.settings.safety.overrun_ticks
     monkeypatch.setattr(rig.clock, "next_tick", lambda: (plain()[0], 10))
@@ -262,8 +261,8 @@ def test_a_burst_of_overruns_trips(rig: Lockstep, enter: Enter, monkeypatch: pyt
     assert records["skipped"][-1] == 10 * len(records)
 
 
-def test_stopping_in_the_closed_loop_ends_in_hold_with_the_brake_closed(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_stopping_in_the_closed_loop_ends_in_hold_with_the_brake_closed(rig: Lockstep) -> None:
     before = rig.rig.truth
     rig.loop.stop_requested = True
     for _ in range(2500):
@@ -285,8 +284,8 @@ def test_old_and_unknown_commands_are_not_carried_out(rig: Lockstep) -> None:
     assert rig.loop.machine.mode == Mode.DISARMED
 
 
-def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockstep) -> None:
     rig.run(0.5)
     refused = rig.loop.inbox.refused
     for can_id, data in ((0x7FF, b"12345678"), (0x182, b"123"), (0x184, b""), (0x183, b"12345678"), (0x84, b"1")):
@@ -348,28 +347,10 @@ def test_a_late_or_lost_answer_is_counted_as_missing(rig: Lockstep) -> None:
     assert records["frames_lost"][-1] == 49  # the last SYNC's samples are not due yet
 
 
-def test_a_brake_that_slips_is_told_once_and_does_not_keep_the_operator_from_having_the_motor_carry(
-    rig: Lockstep, enter: Enter
-) -> None:
-    enter(Mode.HOLD)
-    rig.run(0.1)
-    assert rig.command(Verb.DISARM) is Refusal.NONE
-    rig.run(0.5)
-    rig.rig.drive.defect = lambda speed, braked: (0.5, False) if braked else (speed, False)
-    rig.run(0.5)
-    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.STROKE_MOVES)
-    rig.run(1.5)  # a slipping brake keeps a stop from ending; 2 s after the drive went off the loop stops waiting
-    assert rig.command(Verb.RESET) is Refusal.NONE
-    rig.run(1.0)
-    assert rig.loop.machine.mode is Mode.DISARMED
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert np.abs(rig.run(0.5)["speed_mm_s"][300:]).max() < 0.05
-
-
+@pytest.mark.starts_in(Mode.COMPENSATING)
 def test_after_an_exception_the_drive_starts_from_rest_and_the_filter_knows_it(
-    rig: Lockstep, enter: Enter, monkeypatch: pytest.MonkeyPatch
+    rig: Lockstep, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    enter(Mode.COMPENSATING)
     assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
     before = rig.run(0.4)
     assert abs(before["command_mm_s"][-1]) > 5.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,9 +12,10 @@ from hil.lockstep import Lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
+from rigctl.control import limits
+from rigctl.control.events import Kind, Unmeasured, worded
 from rigctl.control.faults import Fault
-from rigctl.control.margin_probe import GROW_S, SETTLED_S, WINDOW_S
+from rigctl.control.margin_probe import GROW_S, SETTLED_S, WINDOW_S, level, signal
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, margins
@@ -36,7 +38,10 @@ def true_ms(real: RigSettings, settings: RigSettings) -> float:
     return float(np.abs(true_sensitivities(true_plant(real), *acting, FINE_HZ)).max())
 
 
-@pytest.mark.parametrize(("spring_n_mm", "as_built"), [(6.0, {"delay_scale": 2.0}), (34.0, {"mechanism": 60.0})])
+@pytest.mark.parametrize(
+    ("spring_n_mm", "as_built"),
+    [(6.0, {"delay_scale": 2.0}), pytest.param(34.0, {"mechanism": 60.0}, marks=pytest.mark.long)],
+)
 def test_ms_measured_over_a_minute_is_the_true_one(spring_n_mm: float, as_built: dict[str, Any]) -> None:
     settings = measuring(spring_n_mm)
     gains, real = design(settings), built(settings, **as_built)
@@ -57,6 +62,27 @@ def test_ms_measured_over_a_minute_is_the_true_one(spring_n_mm: float, as_built:
 
 def events(run: Lockstep, kind: Kind) -> list[Any]:
     return [event for event in run.events.read() if event["kind"] == kind]
+
+
+def test_a_minute_without_a_figure_is_a_warning_with_its_reason_once() -> None:
+    settings = measuring()
+    with tensioned(settings, design(settings), Mode.COMPENSATING) as run:
+        run.run(1.0)
+        assert run.command(Setting.MARGINS, 1.4, 0.1) is Refusal.NONE
+        for _ in range(2):
+            assert run.command(Setting.MARGINS, math.nan, float(Unmeasured.LIMITED)) is Refusal.NONE
+        assert np.isnan(run.run(0.1)["sensitivity_peak"][-1])
+        (event,) = events(run, Kind.NO_MARGINS)
+        words = worded(int(event["kind"]), int(event["a"]), 0, 0.0, 0.0, "")
+        assert words.severity == "warning"
+        assert "limits of speed or acceleration acted" in words.text
+        assert run.command(Setting.MARGINS, math.nan, 9.0) is Refusal.OUT_OF_RANGE
+
+
+def test_the_limit_is_the_designs_unless_the_file_has_its_own() -> None:
+    settings = measuring()
+    (row,) = [row for row in limits.rows(settings) if "sensitivity_peak" in row.text]
+    assert row.limit == settings.design.ms_max == 1.6
 
 
 def test_above_the_limit_it_warns() -> None:
@@ -98,6 +124,8 @@ def test_figures_that_are_no_measurement_are_refused() -> None:
             assert run.command(Setting.MARGINS, ms, error) is Refusal.OUT_OF_RANGE
 
 
-def test_without_the_section_nothing_is_added() -> None:
+def test_without_the_section_the_multisine_is_far_weaker() -> None:
+    settings = measuring()
     with tensioned(PAPER, design(PAPER), Mode.COMPENSATING) as run:
-        assert not run.run(SETTLED_S + GROW_S)["excitation_mm_s"].any()
+        found = run.run(SETTLED_S + GROW_S + 4.0)["excitation_mm_s"]
+    assert 0.0 < np.abs(found).max() < 0.25 * level(settings) * signal(settings).peak_mm_s

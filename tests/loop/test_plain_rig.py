@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-
 import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.plain_sensors import PlainSensor
 from rigctl.config import rig_file as config
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
@@ -18,16 +17,13 @@ from rigctl.ipc.record import Quality
 from rigctl.metrics import tension_error as metrics
 from tests.builders.paths import ROOT
 
-Enter = Callable[[Mode], None]
 PLAIN = config.load(ROOT / "config/plain_rig.yaml")
 
 
 @pytest.fixture
-def rig(gains: Gains) -> Iterator[Lockstep]:
-    """Running, DISARMED. The gains are the paper rig's: its plant is the same."""
-    with lockstep(PLAIN, gains) as subject:
-        subject.run(0.2)
-        yield subject
+def rig_settings() -> RigSettings:
+    """Its plant is the paper rig's, and so are the gains."""
+    return PLAIN
 
 
 def sensor(rig: Lockstep, device: str) -> PlainSensor:
@@ -44,8 +40,8 @@ def test_start_up_reports_the_sensors_by_their_dbc_and_touches_only_the_drive(ri
     assert rig.report.as_json()["devices"][1]["message"] == "Tension"
 
 
-def test_it_tensions_and_holds_within_the_demo_limits_while_the_mechanism_moves(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_it_tensions_and_holds_within_the_demo_limits_while_the_mechanism_moves(rig: Lockstep) -> None:
     rig.run(2.0)
     assert rig.rig.start_motion()
     truth, lost = [], 0
@@ -61,8 +57,8 @@ def test_it_tensions_and_holds_within_the_demo_limits_while_the_mechanism_moves(
     assert rig.rig.truth.tangential_rad > 0.003
 
 
-def test_every_sample_is_used_and_none_is_refused(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_every_sample_is_used_and_none_is_refused(rig: Lockstep) -> None:
     records = rig.run(1.0)
     assert records["tension_age_ns"].max() == 0
     assert records["inclination_age_ns"].max() == 9_000_000
@@ -73,8 +69,8 @@ def test_every_sample_is_used_and_none_is_refused(rig: Lockstep, enter: Enter) -
 @pytest.mark.parametrize(
     ("device", "fault"), [("tension_cell", Fault.CELL_STALE), ("inclinometer", Fault.INCLINATION_STALE)]
 )
-def test_frames_that_stop_trip_and_hold_the_stroke(rig: Lockstep, enter: Enter, device: str, fault: Fault) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_frames_that_stop_trip_and_hold_the_stroke(rig: Lockstep, device: str, fault: Fault) -> None:
     sensor(rig, device).connected = False
     records = rig.run(0.5)
     safety = rig.settings.safety
@@ -96,8 +92,8 @@ def test_frames_that_stop_trip_and_hold_the_stroke(rig: Lockstep, enter: Enter, 
         ("inclinometer", Fault.INCLINATION_INVALID, "inclination_quality"),
     ],
 )
-def test_valid_0_trips_as_invalid(rig: Lockstep, enter: Enter, device: str, fault: Fault, column: str) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_valid_0_trips_as_invalid(rig: Lockstep, device: str, fault: Fault, column: str) -> None:
     sensor(rig, device).able = False
     records = rig.run(0.1)
     assert records[column][-1] == Quality.INVALID

@@ -21,9 +21,8 @@ def shown(kind: str) -> list[str]:
     return [block for block in blocks if "hil_" in block]
 
 
-@pytest.mark.parametrize("number", range(4))
-def test_what_the_page_shows_passes(pytester: pytest.Pytester, number: int) -> None:
-    pytester.makepyfile(test_shown=shown("test")[number])
+def test_what_the_page_shows_passes(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(**{f"test_shown_{number}": text for number, text in enumerate(shown("test"))})
     assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0
     assert not (pytester.path / "results").exists()
 
@@ -35,6 +34,7 @@ def test_the_page_begins_with_a_test_of_eight_lines() -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.alone
 def test_what_the_page_shows_in_real_time_passes(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(test_shown=shown("live")[0])
     assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0
@@ -77,6 +77,7 @@ def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pyte
 
 
 @pytest.mark.real_time
+@pytest.mark.alone
 def test_a_failed_test_in_real_time_keeps_them_too(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(TRIPS.format(rig="hil_live_rig"))
     done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider")
@@ -122,6 +123,7 @@ def test_a_second_disturbance_leaves_the_first_one_going(pytester: pytest.Pytest
 
 
 @pytest.mark.real_time
+@pytest.mark.alone
 def test_in_real_time_disturbances_and_the_limit_are_as_in_simulated_time(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
@@ -157,51 +159,55 @@ def test_in_real_time_disturbances_and_the_limit_are_as_in_simulated_time(pytest
     pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=2)
 
 
-@pytest.mark.parametrize(
-    ("body", "says"),
-    [
-        ("hil_rig.run(3.1)", "the test may take 3 s of simulated time: 0.2 s are used and 3.1 s are asked for"),
-        ("hil_rig.run_until('HOLD', 1.0)", "not in HOLD within 1 s of simulated time, but in DISARMED"),
-        ("hil_rig.do('tension')", "tension was refused in DISARMED: WRONG_MODE"),
-        ("hil_rig.inject('none_such')", "found 'none_such', expected a fault of the catalogue"),
-        ("hil_rig.command('fly')", "found command 'fly', expected"),
-        ("hil_rig.disturb(mass=[{'change_kg': 'x'}])", "mass.0"),
-        (
-            "hil_rig.disturb(mass=[{'change_kg': 1.0, 'at_s': 0.0}])",
-            "mass: found a change of mass on a rigid mechanism",
-        ),
-        ("hil_rig.run(0.1).figure('eta')", "found figure 'eta', expected eta_max_pct"),
-    ],
+REFUSED = (
+    ("hil_rig.run(3.1)", "the test may take 3 s of simulated time: 0.2 s are used and 3.1 s are asked for"),
+    ("hil_rig.run_until('HOLD', 1.0)", "not in HOLD within 1 s of simulated time, but in DISARMED"),
+    ("hil_rig.do('tension')", "tension was refused in DISARMED: WRONG_MODE"),
+    ("hil_rig.inject('none_such')", "found 'none_such', expected a fault of the catalogue"),
+    ("hil_rig.command('fly')", "found command 'fly', expected"),
+    ("hil_rig.disturb(mass=[{'change_kg': 'x'}])", "mass.0"),
+    (
+        "hil_rig.disturb(mass=[{'change_kg': 1.0, 'at_s': 0.0}])",
+        "mass: found a change of mass on a rigid mechanism",
+    ),
+    ("hil_rig.run(0.1).figure('eta')", "found figure 'eta', expected eta_max_pct"),
 )
-def test_what_cannot_be_is_one_line(pytester: pytest.Pytester, body: str, says: str) -> None:
+
+
+def test_what_cannot_be_is_one_line(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         f"""
         import pytest
 
         @pytest.mark.hil(timeout_s=3)
-        def test_it(hil_rig):
+        @pytest.mark.parametrize(("body", "says"), {REFUSED!r})
+        def test_it(hil_rig, body, says):
             with pytest.raises((ValueError, AssertionError)) as refused:
-                {body}
-            assert {says!r} in str(refused.value)
+                eval(body)
+            assert says in str(refused.value)
             assert "\\n" not in str(refused.value)
         """
     )
-    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=1)
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=len(REFUSED))
 
 
-@pytest.mark.parametrize(
-    ("marker", "says"),
-    [
-        ('rig="none.yaml"', "none.yaml"),
-        ("seed=3", "marker hil: found seed, expected rig, change, timeout_s"),
-        ('change={"plant.none": 3}', "marker hil: "),
-    ],
-)
-def test_a_marker_that_is_wrong_is_said_without_a_traceback(pytester: pytest.Pytester, marker: str, says: str) -> None:
-    pytester.makepyfile(f"import pytest\n\n@pytest.mark.hil({marker})\ndef test_it(hil_rig):\n    pass\n")
+WRONG_MARKERS = {
+    'rig="none.yaml"': "none.yaml",
+    "seed=3": "marker hil: found seed, expected rig, change, timeout_s",
+    'change={"plant.none": 3}': "marker hil: change: plant.none",
+}
+
+
+def test_a_marker_that_is_wrong_is_said_without_a_traceback(pytester: pytest.Pytester) -> None:
+    tests = (
+        f"@pytest.mark.hil({marker})\ndef test_{number}(hil_rig):\n    pass\n"
+        for number, marker in enumerate(WRONG_MARKERS)
+    )
+    pytester.makepyfile("import pytest\n" + "\n".join(tests))
     done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider")
-    done.assert_outcomes(errors=1)
-    assert says in done.stdout.str()
+    done.assert_outcomes(errors=len(WRONG_MARKERS))
+    for says in WRONG_MARKERS.values():
+        assert says in done.stdout.str()
     assert "Traceback" not in done.stdout.str()
 
 

@@ -68,8 +68,8 @@ def check_form(entry: dict[str, Any], mode: Mode, settings: RigSettings) -> None
 @pytest.mark.parametrize(
     ("mode", "spring_n_mm", "as_built"),
     [
-        (Mode.HOLD, 6.0, {"lag_scale": 1.2, "delay_scale": 2.0}),
-        (Mode.COMPENSATING, 34.0, {"mechanism": 60.0}),
+        pytest.param(Mode.HOLD, 6.0, {"lag_scale": 1.2, "delay_scale": 2.0}, marks=pytest.mark.long),
+        pytest.param(Mode.COMPENSATING, 34.0, {"mechanism": 60.0}, marks=pytest.mark.long),
         (Mode.COMPENSATING, 6.0, {}),
     ],
 )

@@ -20,15 +20,13 @@ from rigctl.design.margins import design_and_check
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 from tests.loop.test_trials import cell_reads
 
-Enter = Callable[[Mode], None]
-
 
 def swap_drive(rig: Lockstep) -> None:
     """Swap the motor's wires; the encoder stays right."""
     plain = rig.rig.plant.set_drive
 
-    def swapped(velocity_mm_s: float, braked: bool) -> None:
-        plain(-velocity_mm_s, braked)
+    def swapped(velocity_mm_s: float, braked: bool, yielding_mm_s: float = 0.0) -> None:
+        plain(-velocity_mm_s, braked, yielding_mm_s)
 
     rig.rig.plant.set_drive = swapped  # type: ignore[method-assign]
 
@@ -47,8 +45,8 @@ def swap_drive_and_encoder(rig: Lockstep) -> None:
     rig.rig.drive._encoder.__class__ = Mirrored
 
 
-def test_a_rig_the_right_way_round_passes_once_and_is_told(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_rig_the_right_way_round_passes_once_and_is_told(rig: Lockstep) -> None:
     told = rig.events.read()
     told = told[told["kind"] == Kind.SIGNS]
     assert len(told) == 1
@@ -61,8 +59,8 @@ def test_a_rig_the_right_way_round_passes_once_and_is_told(rig: Lockstep, enter:
     assert Kind.SIGNS not in rig.events.read()["kind"]
 
 
-def test_a_swapped_drive_is_caught_within_half_a_millimetre(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_swapped_drive_is_caught_within_half_a_millimetre(rig: Lockstep) -> None:
     swap_drive(rig)
     before = rig.rig.truth.stroke_mm
     assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -73,8 +71,8 @@ def test_a_swapped_drive_is_caught_within_half_a_millimetre(rig: Lockstep, enter
     assert rig.rig.truth.speed_mm_s == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_swapped_cell_is_caught_before_the_rope_pulls_more_than_slack(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_swapped_cell_is_caught_before_the_rope_pulls_more_than_slack(rig: Lockstep) -> None:
     cell_reads(rig, lambda n: -n)
     assert rig.command(Verb.TENSION) is Refusal.NONE
     records = rig.run(2.0)
@@ -193,8 +191,8 @@ def test_on_target_too_each_wrong_way_round_is_caught_before_the_loop_is_closed_
     assert Fault.SIGN_CELL in fault or found.off_mm < 0.5
 
 
-def test_a_spring_that_is_not_the_files_is_caught(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_spring_that_is_not_the_files_is_caught(rig: Lockstep) -> None:
     cell_reads(rig, lambda n: 0.25 * n)
     assert rig.command(Verb.TENSION) is Refusal.NONE
     rig.run(4.0)

@@ -54,7 +54,8 @@ def test_the_rest_before_a_tensioning_counts_once_the_slack_is_taken_up_and_so_d
         assert (applied, zero_n) == (1, pytest.approx(0.12, abs=NOISE_N))
         held = rig.run(2.0)
         assert float(held["slack_zero_n"][-1]) == pytest.approx(0.12, abs=NOISE_N)
-        assert rig.rig.truth.tension_n == pytest.approx(300.0, abs=0.02)  # 0.12 less without it
+        true_n = [rig.rig.truth.tension_n for _ in range(200) if len(rig.run(0.001))]  # one instant has noise
+        assert sum(true_n) / len(true_n) == pytest.approx(300.0, abs=0.02)  # 0.12 less without it
         rig.rig.cell._measurement.bias_n = 0.2
         assert rig.command(Verb.RELEASE) is Refusal.NONE
         rig.run_until(Mode.HOLD, 15.0)

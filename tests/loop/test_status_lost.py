@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from hil.lockstep import Lockstep
@@ -16,7 +14,6 @@ from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.devices import objects
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-Enter = Callable[[Mode], None]
 
 
 def lose_status(rig: Lockstep, frames: int | None = None) -> None:
@@ -33,9 +30,8 @@ def lose_status(rig: Lockstep, frames: int | None = None) -> None:
     rig.hub.tap = tap
 
 
-@pytest.mark.parametrize("mode", ARMED)
-def test_a_status_that_has_died_is_a_fault_that_holds(rig: Lockstep, enter: Enter, mode: Mode) -> None:
-    enter(mode)
+@pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
+def test_a_status_that_has_died_is_a_fault_that_holds(rig: Lockstep) -> None:
     rig.events.read()
     lose_status(rig)
     rig.run(0.3)
@@ -50,8 +46,8 @@ def test_a_status_that_has_died_is_a_fault_that_holds(rig: Lockstep, enter: Ente
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 
-def test_a_burst_that_takes_four_of_it_is_none(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_burst_that_takes_four_of_it_is_none(rig: Lockstep) -> None:
     lose_status(rig, frames=STATUS_PERIODS - 1)
     rig.run(1.0)
     assert rig.loop.machine.mode is Mode.COMPENSATING

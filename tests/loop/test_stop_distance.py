@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from hil.lockstep import Lockstep
@@ -15,10 +13,8 @@ DEAD_TICKS = 500
 
 
 @pytest.mark.parametrize("target_n", [350.0, 250.0])
-def test_a_dead_loops_stroke_stops_within_the_distance_the_check_prints(
-    rig: Lockstep, enter: Callable[[Mode], None], target_n: float
-) -> None:
-    enter(Mode.COMPENSATING)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_dead_loops_stroke_stops_within_the_distance_the_check_prints(rig: Lockstep, target_n: float) -> None:
     assert rig.command(Verb.TARGET, target_n) is Refusal.NONE
     rig.run(0.5)
     speed, before = rig.rig.truth.speed_mm_s, rig.rig.truth

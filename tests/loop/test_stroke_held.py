@@ -19,20 +19,28 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
 from rigctl.control.tension import Gains
+from tests.builders.branches import Started
 
 Floats = npt.NDArray[np.float64]
 HELD_MM = 1.0
 STEADY_MM = 0.15  # a corrected creep: 0.45 mm/s until the integral action corrects it, and the dead zone
-SLOW = {0.02: 12.0, 0.1: 6.0, 0.45: 4.0}  # mm/s, and s of observation: 0.24 mm and more without a correction
+WAYS = [1.0, pytest.param(-1.0, marks=pytest.mark.long)]
+SLOW = {0.02: 12.0, 0.1: 6.0, 0.45: 1.6}  # mm/s, and s of observation: 0.24 mm and more without a correction
 FAST = {0.55: 3.5, 2.0: 1.0, 8.0: 0.6}
 
 
-@pytest.fixture
-def held(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
-    """A rig in HOLD, 300 N on the rope."""
-    with lockstep(settings, gains) as rig:
+@pytest.fixture(scope="module")
+def held_once(settings: RigSettings, gains: Gains) -> Iterator[Started]:
+    longest = settings.model_copy(update={"hold": settings.hold.model_copy(update={"park_s": 30.0})})
+    with lockstep(longest, gains) as rig:
         bring(rig, Mode.HOLD)
-        yield rig
+        yield Started.now(rig)
+
+
+@pytest.fixture
+def held(request: pytest.FixtureRequest, held_once: Started) -> Lockstep:
+    """A rig in HOLD, 300 N on the rope, held by the motor for as long as a rig file allows."""
+    return held_once.go_on(request)
 
 
 def bring(rig: Lockstep, mode: Mode) -> None:
@@ -67,19 +75,27 @@ def told(rig: Lockstep, kind: Kind) -> list[str]:
 
 
 # -- creep ------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
-@pytest.mark.parametrize("way", [1.0, -1.0])
+@pytest.mark.parametrize("mode", [Mode.HOLD, pytest.param(Mode.FAULT, marks=pytest.mark.long)])
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("speed", SLOW)
-def test_a_drive_that_creeps_slowly_is_corrected(
+def test_a_drive_that_creeps_slowly_is_corrected_until_the_brake_has_the_load(
     settings: RigSettings, gains: Gains, speed: float, way: float, mode: Mode
 ) -> None:
     with lockstep(settings, gains) as rig:
         bring(rig, mode)
-        fault = rig.loop.machine.fault
-        moved = moved_mm(rig, creeps(way * speed), SLOW[speed])
-        assert np.abs(moved).max() < STEADY_MM
-        assert (rig.loop.machine.mode, rig.loop.machine.fault) == (mode, fault)
-        assert rig.rig.drive.control.enabled
+        moved = moved_mm(rig, creeps(way * speed), max(SLOW[speed], 4.0))
+        assert np.abs(moved).max() < HELD_MM
+        assert np.ptp(moved[-200:]) == 0.0
+        assert rig.rig.drive.control.stage.braked
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("speed", SLOW)
+def test_a_drive_that_creeps_slowly_is_corrected(held: Lockstep, speed: float, way: float) -> None:
+    moved = moved_mm(held, creeps(way * speed), SLOW[speed])
+    assert np.abs(moved).max() < STEADY_MM
+    assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.HOLD, Fault.NONE)
+    assert held.rig.drive.control.enabled
 
 
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
@@ -98,22 +114,22 @@ def test_a_drive_that_creeps_fast_is_taken_off_power_within_a_millimetre(
 
 
 def test_a_creep_that_is_corrected_is_told_with_its_speed_once(held: Lockstep) -> None:
-    moved_mm(held, creeps(0.3), 6.0)
+    moved_mm(held, creeps(0.15), 4.8)
     (text,) = told(held, Kind.DRIVE_CREEPS)
-    assert text.startswith("the drive creeps at +0.2") or text.startswith("the drive creeps at +0.3")
+    assert text.startswith("the drive creeps at +0.1")
     assert "0x60B1" in text
 
 
 def test_a_stroke_that_leaves_its_latch_is_told_once_and_again_once_it_was_back(held: Lockstep) -> None:
     """A position that contradicts its speed switches the correction off; what creeps then is only watched."""
     held.loop._stroke_hold._doubted = True
-    moved_mm(held, creeps(-0.2), 2.0)
+    moved_mm(held, creeps(-0.1), 2.6)
     (text,) = told(held, Kind.STROKE_LEFT)
     assert "HOLD: the stroke is -0.20 mm from where it was latched" in text
     held.loop._stroke_hold._doubted = False
-    held.run(3.0)
+    held.run(2.5)
     held.loop._stroke_hold._doubted = True
-    held.run(2.0)
+    held.run(2.6)
     assert len(told(held, Kind.STROKE_LEFT)) == 1
 
 
@@ -126,13 +142,22 @@ def test_a_stroke_that_nothing_corrects_is_taken_off_power_as_a_fault_of_its_own
     assert held.rig.drive.control.stage.braked
 
 
+@pytest.mark.parametrize("creep", [0.2, -0.45])
+def test_a_creep_that_is_corrected_for_long_is_held_by_the_brake(held: Lockstep, creep: float) -> None:
+    """A drift of the encoder with a cell that has frozen looks the same: the sum of the correction is bounded."""
+    moved = moved_mm(held, creeps(creep), 1.2 / abs(creep))
+    assert np.abs(moved).max() < STEADY_MM
+    assert (held.loop.machine.fault, held.loop.machine.action) == (Fault.POSITION_DRIFTS, Action.POWER_OFF)
+    assert held.rig.drive.control.stage.braked
+
+
 def test_the_issues_creep_no_longer_ends_at_733_newtons(settings: RigSettings, gains: Gains) -> None:
     """+0.45 mm/s, from HOLD and from a TENSION_HIGH whose reaction is hold."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.HOLD)
         rig.loop.machine.trip(Trip(Fault.TENSION_HIGH, 401.0, 400.0), rig.clock.now())
         moved_mm(rig, creeps(0.45), 10.0)
-        assert rig.rig.truth.tension_n < 301.0
+        assert rig.rig.truth.tension_n < 303.0  # 1 %: 0.3 s without correction while the brake closes
 
 
 # -- the latch --------------------------------------------------------------------------------------------------
@@ -172,7 +197,7 @@ def test_a_healthy_drive_in_hold_gets_commands_of_no_speed(held: Lockstep) -> No
 def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held: Lockstep, creep: float) -> None:
     """The drive never stands still, so it does not close its brake by itself: its power is cut."""
     before = held.rig.truth.stroke_mm
-    moved_mm(held, creeps(creep), 3.0)
+    moved_mm(held, creeps(creep), 2.0)
     assert held.command(Verb.DISARM) is Refusal.NONE
     held.run(1.5)
     assert held.rig.drive.control.stage.braked
@@ -182,20 +207,18 @@ def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held
 
 
 def test_a_stroke_that_slips_slowly_while_disarmed_is_a_fault(settings: RigSettings, gains: Gains) -> None:
-    """0.15 mm/s: too slow for STROKE_MOVES, which watches the speed."""
+    """0.15 mm/s: too slow for the reported speed, which 0.2 mm/s trip."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.DISARMED)
         rig.rig.plant.parameters["dead_band"] = 0.0
         rig.rig.drive.defect = lambda _speed, _braked: (-0.15, False)
-        rig.run(5.0)
-        assert rig.loop.machine.mode is Mode.DISARMED
-        assert len(told(rig, Kind.STROKE_LEFT)) == 1
-        rig.run(2.0)
-        assert rig.loop.machine.fault is Fault.STROKE_NOT_HELD
-        rig.run(4.0)
+        rig.run(7.0)
+        assert rig.loop.machine.fault is Fault.STROKE_MOVES
         (text,) = told(rig, Kind.ESCALATION)
         assert "the brake does not hold" in text
+        assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
         rig.rig.drive.defect = None
+        rig.run(6.0)
         assert rig.command(Verb.RESET) is Refusal.NONE
         rig.run(1.0)
         assert rig.command(Verb.ARM) is Refusal.NONE
@@ -238,12 +261,15 @@ def test_a_quick_stop_that_does_not_stop_ends_with_the_power_off(held: Lockstep)
 def test_a_tension_that_goes_on_rising_is_not_only_held(settings: RigSettings, gains: Gains) -> None:
     """The position is wrong too: the stroke does not seem to move."""
     with lockstep(settings, gains) as rig:
-        stand.start(rig, Mode.HOLD, 394.0)
+        stand.start(rig, Mode.HOLD, 399.0)
         stand.enter(rig, Mode.HOLD)
         rig.events.read()
         put_in(rig, both(creeps(0.45), in_device.stuck(STROKE), reads(SPEED, times=0.0)))
-        rig.run(6.0)
-        assert rig.loop.machine.fault is Fault.TENSION_HIGH
-        assert "quick stop, then power off" in told(rig, Kind.ESCALATION)[0]
-        assert rig.rig.drive.control.stage.braked
-        assert rig.rig.truth.tension_n < 408.0  # 3 N until detection, 1.2 s for a drive that does not switch off
+        for _ in range(6000):
+            rig.tick()
+            if rig.loop.machine.fault is not Fault.NONE:
+                break
+        rig.run(0.6)
+        assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.TENSION_HIGH, Action.HOLD)
+        assert rig.rig.drive.control.stage.braked, "FAULT ends on the brake at once, whatever the encoder shows"
+        assert rig.rig.truth.tension_n < 402.0  # 394 N, and 1 mm on the way to the brake

@@ -41,11 +41,8 @@ def give(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
     rig._commands.write(*command_slot(rig.clock.now(), rig._id, verb, value))
 
 
-@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.HOLD])
-def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(
-    rig: Lockstep, enter: Enter, mode: Mode
-) -> None:
-    enter(mode)
+@pytest.mark.parametrize("rig", [Mode.DISARMED, Mode.HOLD], indirect=["rig"])
+def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(rig: Lockstep) -> None:
     cell_reads(rig, lambda n: n + OFFSET_N)
     rig.run(0.1)
     assert rig.command(Verb.TARE) is Refusal.NONE
@@ -131,9 +128,9 @@ def test_anything_that_comes_in_between_ends_a_tare(rig: Lockstep, what: str) ->
 
 
 def test_a_known_weight_reads_as_it_is_and_a_scale_corrects_it(rig: Lockstep, enter: Enter) -> None:
+    cell_reads(rig, lambda n: 0.99 * n)
     enter(Mode.COMPENSATING)
     assert rig.command(Verb.HOLD) is Refusal.NONE
-    cell_reads(rig, lambda n: 0.99 * n)
     rig.run(3.0)
     assert rig.command(Verb.CALIBRATE) is Refusal.NONE
     weight_n = rig.rig.truth.tension_n
@@ -161,8 +158,8 @@ def test_an_overdue_calibration_blocks_arming_and_nothing_else(settings: RigSett
         assert rig.loop.machine.mode is Mode.HOLD
 
 
-def test_a_tare_cannot_hide_an_overload(rig: Lockstep, enter: Enter) -> None:
-    enter(Mode.HOLD)
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_tare_cannot_hide_an_overload(rig: Lockstep) -> None:
     assert rig.command(Setting.ZERO, 9.5) is Refusal.NONE
     cell_reads(rig, lambda n: n + 401.0)
     rig.run(0.1)

@@ -7,6 +7,8 @@ import pathlib
 import subprocess
 import sys
 
+from tests.builders.waiting import patience_s
+
 _GATEWAY = ("test_gateway", "test_gateway_commands", "test_operator_commands", "test_lease_sessions")
 LIVE = {
     "rigctl/control/realtime": ("tests/unit/control/test_realtime.py",),
@@ -15,7 +17,6 @@ LIVE = {
     "rigctl/recorder/": ("tests/live/system/test_recorder.py", "tests/live/system/test_recording_kept.py"),
 }
 """Tests by the beginning of a module's name, the more exact first."""
-LIMIT_S = 600.0
 
 
 def tests_of(file: str) -> tuple[str, ...]:
@@ -50,7 +51,7 @@ def _run(folder: pathlib.Path, tests: list[str]) -> tuple[str, int]:
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_DISABLE_PLUGIN_AUTOLOAD"} | own
     try:
         ended = subprocess.run(
-            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=LIMIT_S, check=False
+            command, cwd=folder, env=environment, capture_output=True, text=True, timeout=patience_s(600.0), check=False
         )
     except subprocess.TimeoutExpired:
         return "(took too long)", 0

@@ -238,6 +238,7 @@ def test_any_mix_of_rigid_and_compliant_axes_obeys_equation_15(
     assert max(error_straight(paper_lagrangian, seed, free) for seed in range(STATES)) < RELATIVE
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("free", [ALL_FREE, RIGID, (False, False, True)], ids=["free", "rigid", "vertical"])
 def test_a_flexible_rope_obeys_its_own_lagrangian(chain_lagrangian: Lagrangian, free: tuple[bool, bool, bool]) -> None:
     assert max(error_flexible(chain_lagrangian, seed, free) for seed in range(STATES)) < RELATIVE

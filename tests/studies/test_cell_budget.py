@@ -22,11 +22,13 @@ def found() -> dict[str, Coverage]:
     return {way.way: way for way in coverage.study(RIG, CELLS, lambda _cost, _title: None)}
 
 
+@pytest.mark.long
 def test_no_stated_budget_is_too_small(found: dict[str, Coverage]) -> None:
     """Fewer cells within a budget of 95 % come by chance less than once in a thousand studies."""
     assert all(way.ok for way in found.values()), found
 
 
+@pytest.mark.long
 def test_compensation_leaves_a_quarter_of_the_class(found: dict[str, Coverage]) -> None:
     """The stated uncertainty and the true errors both; 0.04 % is the limit of the error with the cell in the loop."""
     before = found[UNCORRECTED]

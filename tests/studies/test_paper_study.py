@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -14,13 +15,16 @@ import pytest
 from hil.paper.cases import FIGURE_9, NO_SPRING, cases
 from hil.paper.claims import CLAIMS
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
+
+pytestmark = pytest.mark.long
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 def study(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "hil", "paper", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=280, check=False)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=patience_s(300.0), check=False)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +81,8 @@ def test_the_terminal_shows_a_table_per_figure(done: subprocess.CompletedProcess
         assert any(line.startswith(title) for line in lines), title
     assert max(map(len, lines)) <= 80
     assert "DIFFERS" in done.stdout
-    assert not done.stderr  # no progress bar without a terminal
+    progress = done.stderr.splitlines()  # no bar without a terminal, but lines
+    assert progress and all(re.fullmatch(r"[a-z' ]+: [0-9]+ %.*", line) for line in progress)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, figures, first_pea
 from hil.scenario.play import play
 from rigctl.config import rig_file as config
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 SCENARIOS = ROOT / "config/scenarios"
 
@@ -42,7 +43,7 @@ Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 def process(*arguments: object) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "hil", "scenario", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, cwd=ROOT, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=patience_s(), cwd=ROOT, check=False)
 
 
 @pytest.fixture
@@ -100,7 +101,14 @@ def test_the_loop_does_better_and_says_what_it_saw(tmp_path: pathlib.Path, write
     assert (tmp_path / "loop.png").read_bytes().startswith(b"\x89PNG")
 
 
-@pytest.mark.parametrize("name", ["jolt", "mass_change", "shake_3hz", "level_runout", "vertical_10mm"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "jolt",
+        "vertical_10mm",
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("mass_change", "shake_3hz", "level_runout")),
+    ],
+)
 def test_a_scenario_we_ship_plays_without_a_trip(name: str) -> None:
     case = load(SCENARIOS / f"{name}.yaml")
     played = play(
@@ -193,7 +201,7 @@ def test_a_terminal_gets_a_bar_and_a_pipe_does_not(write: Write) -> None:
             drawn += os.read(ours, 65536)
         except OSError:  # the other end is closed
             break
-    out = process.communicate(timeout=120)[0]
+    out = process.communicate(timeout=patience_s())[0]
     os.close(ours)
     assert process.returncode == 0
     assert json.loads(out)["scenario"] == "probe"

@@ -11,14 +11,15 @@ import sys
 import threading
 from collections.abc import Iterator
 
-import msgspec
 import pytest
 
 from rigctl.cli.verb_table import VERBS, VerbRow
 from rigctl.config import layout
+from rigctl.ipc.hold_socket import HoldAnswer, socket_name
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders.daemons import free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 LOOK = """
 import sys
@@ -33,20 +34,21 @@ except SystemExit as ended:
 SLOW = {"numpy", "zenoh", "pydantic", "pydantic_core", "scipy", "yaml", "rich", "asyncio", "cryptography", "can",
         "canopen", "cantools", "mcap", "google", "matplotlib", "numba", "control", "starlette", "hil"}  # fmt: skip
 PARSERS = {"typer", "click", "argparse", "msgspec", "dataclasses", "inspect"}
-STATUS_NEEDS = {"numpy", "zenoh", "cryptography", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
+STATUS_NEEDS = {"numpy", "zenoh", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
 SHARED = {
-    **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "move", "target", "confirm-stroke", "tare",
+    **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "carry", "lower", "move", "target",
+                     "confirm-stroke", "tare",
                      "calibrate", "identify", "gains"), ("rigctl.cli.lease", "rigctl.cli.verbs")),
     **dict.fromkeys(("replay", "report"), ("rigctl.cli.recordings",)),
 }  # fmt: skip
 """Other commands' modules that a command shares."""
 OWN_OF_HOLD = {
     "rigctl", "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.operator_name",
-    "rigctl.cli.quick_hold", "rigctl.cli.standard_output",
+    "rigctl.cli.quick_hold", "rigctl.ipc.standard_output",
     "rigctl.client", "rigctl.client.endpoint", "rigctl.client.local_hold", "rigctl.config", "rigctl.config.address",
-    "rigctl.config.built_type", "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout",
-    "rigctl.ipc", "rigctl.ipc.folder_files", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders",
-    "rigctl.ipc.writers", "rigctl.wire", "rigctl.wire.keys", "rigctl.wire.run_keys",
+    "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout", "rigctl.config.one_line",
+    "rigctl.ipc", "rigctl.ipc.folder_places", "rigctl.ipc.hold_socket", "rigctl.ipc.termination",
+    "rigctl.ipc.trusted_folders", "rigctl.ipc.writers", "rigctl.wire", "rigctl.wire.keys",
 }  # fmt: skip
 
 
@@ -55,7 +57,7 @@ def loaded(*words: str) -> tuple[int, str, set[str]]:
     environment = {name: value for name, value in os.environ.items() if not name.startswith(("RIGCTL", "COV"))}
     done = subprocess.run(
         [sys.executable, "-c", LOOK.format(words=list(words))],
-        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False,
+        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
     code, modules = json.loads(done.stderr.splitlines()[-1])
     return code, done.stdout, set(modules)
@@ -67,30 +69,28 @@ def top(modules: set[str]) -> set[str]:
 
 @pytest.fixture
 def held() -> Iterator[str]:
-    """The endpoint of a daemon of this computer whose hold service is this test."""
+    """The endpoint of a daemon of this computer whose loop is this test."""
     folder = layout.SHARED_MEMORY / f"rigctl-test_loaded_{os.getpid()}"
     folder.mkdir(mode=0o700)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     files = Runtime(folder)
     files.write_json(ACTIVE, {"settings": {"telemetry": {"listen": endpoint}}})
     (folder / "lock").write_text(f"{os.getpid()}\n")
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    listener.settimeout(60)
-    listener.bind(str(files.hold_socket))
-    listener.listen(1)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    listener.settimeout(patience_s())
+    listener.bind(str(files.place(socket_name(os.geteuid()))))
     answering = threading.Thread(target=_answer, args=(listener,), daemon=True)
     answering.start()
     yield endpoint
     listener.close()
-    answering.join(60)
+    answering.join(patience_s())
     shutil.rmtree(folder)
 
 
 def _answer(listener: socket.socket) -> None:
-    connection, _ = listener.accept()
-    with connection:
-        asked = msgspec.json.decode(connection.recv(1024))
-        connection.send(msgspec.json.encode({"accepted": True, "text": f"HOLD for {asked['operator']}"}))
+    operator, address = listener.recvfrom(1024)
+    assert operator == b"kim"
+    listener.sendto(HoldAnswer(1, True, 0, 0, 0, 52.3, 300.0, "HOLD").packed(), address)
 
 
 def test_help_loads_no_command_and_no_parser() -> None:
@@ -98,16 +98,16 @@ def test_help_loads_no_command_and_no_parser() -> None:
     assert (code, shown.splitlines()[0]) == (0, "Usage: rigctl [OPTIONS] COMMAND [ARGS]...")
     assert not top(modules) & (SLOW | PARSERS)
     assert {name for name in modules if name.startswith("rigctl.")} == {
-        "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.standard_output",
-        "rigctl.cli.top_help", "rigctl.cli.verb_table", "rigctl.config", "rigctl.config.extras", "rigctl.ipc",
-        "rigctl.ipc.termination",
+        "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.ipc.standard_output",
+        "rigctl.cli.top_help", "rigctl.cli.verb_table", "rigctl.config", "rigctl.config.extras",
+        "rigctl.config.one_line", "rigctl.ipc", "rigctl.ipc.termination",
     }  # fmt: skip
 
 
 def test_hold_loads_what_its_socket_needs(held: str) -> None:
     code, said, modules = loaded("hold", "--connect", held, "--operator", "kim")
-    assert (code, said) == (0, "HOLD for kim\n")
-    assert not top(modules) & (SLOW | {"typer", "click"})
+    assert (code, said) == (0, "HOLD: stroke held at 52.30 mm, tension 300.0 N\n")
+    assert not top(modules) & (SLOW | PARSERS)
     assert {name for name in modules if name.partition(".")[0] == "rigctl"} == OWN_OF_HOLD
 
 
@@ -152,6 +152,6 @@ def test_a_program_limits_numpys_threads_before_it_loads_numpy(words: tuple[str,
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
     done = subprocess.run(
         [sys.executable, "-c", WHEN_NUMPY_LOADS.format(words=list(words))],
-        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=120, check=False,
+        cwd=ROOT, env=environment, capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
     assert "numpy with 1 threads\n" in done.stderr

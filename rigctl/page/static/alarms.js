@@ -8,6 +8,7 @@ export class AlarmTable {
     this.session = session;
     this.say = say;
     this.shown = "";
+    this.open = new Set(); // causes whose words and remedy are shown
     this.body = document.querySelector("#alarm-table tbody");
     byId("shelve").addEventListener("submit", (event) => {
       event.preventDefault();
@@ -17,41 +18,52 @@ export class AlarmTable {
     byId("shelve-no").addEventListener("click", () => (byId("shelve").hidden = true));
     document.querySelector("#alarm-table").addEventListener("click", (event) => {
       const { act, cause } = event.target.dataset ?? {};
-      if (act === "shelve") this.ask(cause);
+      if (act === "open") this.toggle(cause);
+      else if (act === "shelve") this.ask(cause);
       else if (act) this.decide(act, cause, {});
     });
   }
 
-  show(rows) {
-    const operator = Boolean(this.session.operator), said = JSON.stringify([rows, operator]);
+  show(rows, tally) {
+    const operator = Boolean(this.session.operator), said = JSON.stringify([rows, operator, tally]);
     if (said === this.shown) return; // a button that is being pressed stays the same
     this.shown = said;
-    const standing = rows.filter((row) => row.stands && !row.shelved).length, shelved = rows.filter((row) => row.shelved).length;
-    byId("alarm-count").textContent = rows.length ? `${standing} standing, ${rows.length - standing - shelved} over, ${shelved} shelved` : "none";
+    byId("alarm-count").textContent = tally;
     const focus = document.activeElement?.dataset?.key;
     this.body.replaceChildren(...rows.map((row) => this.row(row, operator)));
     if (focus) [...this.body.querySelectorAll("[data-key]")].find((node) => node.dataset.key === focus)?.focus();
   }
 
   row(row, operator) {
-    const tr = document.createElement("tr");
-    tr.className = `${row.priority}${row.stands && !row.shelved ? " stands" : ""}${row.acknowledged ? " seen" : ""}`;
-    cell(tr, "").append(span(`${SIGN[row.priority]} ${row.priority.toUpperCase()}`, "badge-of"));
+    const tr = document.createElement("tr"), open = this.open.has(row.cause);
+    tr.className = `${row.priority} ${row.shelved ? "shelved" : row.condition}${row.acknowledged ? " seen" : ""}`;
+    const badge = cell(tr, "").appendChild(span(SIGN[row.priority], "badge-of"));
+    badge.append(span(` ${row.priority.toUpperCase()}`, "word"));
     const cause = cell(tr, "");
-    cause.append(span(row.cause, "cause"), span(` ${row.text} `), span(`→ ${row.remedy}`, "remedy"));
+    const name = cause.appendChild(button("open", row.cause));
+    name.replaceChildren(...row.cause.split("_").flatMap((part, i) => (i ? ["_", document.createElement("wbr"), part] : [part]))); // a long name breaks behind an underscore
+    name.className = "cause";
+    name.setAttribute("aria-label", `${row.cause}: ${open ? "hide" : "show"} its words and remedy`);
+    name.setAttribute("aria-expanded", String(open));
+    if (open) cause.append(span(` ${row.text} `, "words"), span(`→ ${row.remedy}`, "remedy"));
     cell(tr, row.value || row.limit ? `${row.value || "-"}, limit ${row.limit || "-"}` : "");
-    const times = row.count > 1 ? `first ${clock(row.first_ns)}, last ${clock(row.last_ns)}, ${row.count} times` : clock(row.first_ns);
-    cell(tr, `${times}${row.chatters ? ", chatters" : ""}`);
-    const state = cell(tr, "");
-    const parts = [row.stands ? "stands" : "over", row.acknowledged ? `seen by ${row.acknowledged}` : "not acknowledged"];
+    cell(tr, `${clock(row.last_ns)}${row.count > 1 ? ` ×${row.count}` : ""}${row.chatters ? " chatters" : ""}`);
+    const state = cell(tr, ""), parts = [row.condition];
+    if (row.acknowledged) parts.push(`seen by ${row.acknowledged}`);
     if (row.shelved) parts.push(`shelved until ${clock(row.shelved.until_ns)} by ${row.shelved.operator}: ${row.shelved.reason}`);
     state.append(span(parts.join(", ")));
     if (operator) {
-      const buttons = state.appendChild(document.createElement("div"));
-      if (!row.acknowledged) buttons.append(button("acknowledge", row.cause));
-      buttons.append(button(row.shelved ? "unshelve" : "shelve", row.cause));
+      if (!row.acknowledged) state.append(button("acknowledge", row.cause));
+      state.append(button(row.shelved ? "unshelve" : "shelve", row.cause));
     }
     return tr;
+  }
+
+  toggle(cause) {
+    if (!this.open.delete(cause)) this.open.add(cause);
+    const [rows, , tally] = JSON.parse(this.shown);
+    this.shown = "";
+    this.show(rows, tally);
   }
 
   ask(cause) {
@@ -84,7 +96,7 @@ function span(text, style = "") {
 function button(act, cause) {
   const node = document.createElement("button");
   node.type = "button";
-  node.textContent = act;
+  node.textContent = act === "acknowledge" ? "ack" : act;
   node.setAttribute("aria-label", `${act} ${cause}`);
   Object.assign(node.dataset, { act, cause, key: `${act} ${cause}` });
   return node;

@@ -1,4 +1,5 @@
 // Commands, where this browser has signed in to a page with operator rights. The server checks everything again.
+const VALUES = { target: "newtons", carry: "seconds" }; // commands with a number, and where it is entered
 const byId = (id) => document.getElementById(id);
 
 export class Commands {
@@ -7,13 +8,15 @@ export class Commands {
     this.waiting = null;
     this.mine = false;
     byId("hold").addEventListener("click", () => this.give("hold"));
-    byId("take").addEventListener("click", () => this.lease("take"));
-    byId("return").addEventListener("click", () => this.lease("return"));
+    byId("return").addEventListener("click", () => this.giveBack());
+    byId("reason").addEventListener("keydown", (event) => event.key === "Enter" && this.confirm());
     byId("confirm-yes").addEventListener("click", () => this.confirm());
     byId("confirm-no").addEventListener("click", () => this.ask(null));
     byId("sign-out").addEventListener("click", () => session.leave());
     byId("confirm").addEventListener("keydown", (event) => event.key === "Escape" && this.ask(null));
-    byId("newtons").addEventListener("keydown", (event) => event.key === "Enter" && document.querySelector("[data-verb=target]").click());
+    for (const [id, verb] of Object.entries(VALUES).map(([verb, id]) => [id, verb])) {
+      byId(id).addEventListener("keydown", (event) => event.key === "Enter" && document.querySelector(`[data-verb=${verb}]`).click());
+    }
     for (const button of document.querySelectorAll("[data-verb]")) {
       button.addEventListener("click", () => (button.dataset.why ? this.say(`${button.dataset.verb.toUpperCase()}: ${button.dataset.why}`, false) : this.give(button.dataset.verb)));
     }
@@ -32,77 +35,86 @@ export class Commands {
   }
 
   show(state) {
-    const mine = (this.mine = Boolean(state.lease?.mine)), foreign = !mine && state.lease && !/^nobody/.test(state.lease.text);
-    byId("take").hidden = mine;
-    byId("take").textContent = foreign ? "take the lease over" : "take the lease";
-    byId("reason").hidden = !foreign;
-    byId("return").hidden = !mine;
-    byId("verbs").hidden = !mine || Boolean(this.waiting);
+    this.mine = Boolean(state.lease?.mine);
+    byId("return").hidden = !this.mine;
+    set(byId("lease-text"), `lease: ${state.lease?.text ?? "-"}`);
+    // What was answered before a fault is no answer to it.
+    if (state.mode === "FAULT" && this.mode !== undefined && this.mode !== "FAULT") this.say("", true);
+    this.mode = state.mode;
+    for (const node of document.querySelectorAll(".in-fault")) node.classList.toggle("away", state.mode !== "FAULT");
     this.verbs(state);
+    byId("hold").classList.toggle("dead", Boolean(state.hold_dead)); // undefined would change it at every message
+    byId("hold").title = state.hold_dead ? state.hold : "";
     // What it would do now: the rig goes on while the question stands.
-    if (this.waiting && state.asked?.startsWith(this.waiting.text.split(":")[0])) set(byId("confirm-text"), `${state.asked}?`);
+    if (this.waiting && !this.waiting.holder && state.asked?.startsWith(this.waiting.text.split(":")[0])) set(byId("confirm-text"), `${state.asked}?`);
   }
 
-  // Only what the modes table allows is live; the rest says why not. Not `disabled`: that could be neither reached nor read.
+  // Only what the modes table allows is live; the rest says why not, each reason once. Not `disabled`: that could be
+  // neither reached nor read.
   verbs(state) {
-    const why = [];
     for (const button of document.querySelectorAll("[data-verb]")) {
-      const verb = button.dataset.verb, refusal = state.stale ? "no data" : !this.mine ? "take the lease first" : state.verbs?.[verb] ?? "";
+      const refusal = state.stale ? "no data" : state.verbs?.[button.dataset.verb] ?? "no data";
       button.setAttribute("aria-disabled", String(Boolean(refusal)));
       button.dataset.why = refusal;
       button.title = refusal;
-      if (refusal && this.mine) why.push(`${verb.toUpperCase()}: ${refusal}`);
     }
-    set(byId("why-not"), why.length ? `not now: ${why.join(" · ")}` : "");
-    byId("why-not").hidden = !this.mine || Boolean(this.waiting);
+    const why = state.stale ? ["all but HOLD: no data"] : state.not_now ?? [];
+    set(byId("why-not"), why.length ? `Not now: ${why.join(" · ")}` : "");
   }
 
-  async give(verb) {
+  // ``reason``: why the lease is taken over from another, which is asked for where one is held.
+  async give(verb, reason = "") {
     this.ask(null);
     this.say(`${verb.toUpperCase()} ...`, true);
     const asked = performance.now();
-    const body = { verb };
-    if (verb === "target") {
-      body.value = byId("newtons").valueAsNumber;
-      if (!Number.isFinite(body.value)) return this.say("TARGET: found no number of newtons", false);
+    const body = { verb, reason };
+    if (verb in VALUES) {
+      body.value = byId(VALUES[verb]).valueAsNumber;
+      if (!Number.isFinite(body.value)) return this.say(`${verb.toUpperCase()}: found no number of ${VALUES[verb]}`, false);
     }
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;
     if (ok && answer.confirm) this.ask(answer);
+    else if (answer.holder) this.ask({ ...answer, verb, for_s: 60 });
     else this.say(answer.text, ok);
   }
 
-  async lease(act) {
-    const { ok, answer } = await this.session.post("lease", { act, reason: act === "take" ? byId("reason").value.trim() : "" });
-    if (ok) byId("reason").value = "";
+  async giveBack() {
+    const { ok, answer } = await this.session.post("lease", { act: "return", reason: "" });
     this.say(answer.text, ok);
   }
 
   ask(proposal) {
     clearTimeout(this.timer);
     this.waiting = proposal;
-    const inside = byId("confirm").contains(document.activeElement);
+    const inside = byId("confirm").contains(document.activeElement), foreign = Boolean(proposal?.holder);
     byId("confirm").hidden = !proposal;
+    byId("said").hidden = byId("why-not").hidden = Boolean(proposal);
     if (inside && !proposal) byId("hold").focus(); // the focus is never lost
-    byId("verbs").hidden = !this.mine || Boolean(proposal);
     if (!proposal) return;
-    byId("confirm-text").textContent = `${proposal.text}?`;
+    byId("reason").hidden = !foreign;
+    byId("reason").value = "";
+    byId("confirm-yes").textContent = foreign ? "take over" : "CONFIRM";
+    byId("confirm-text").textContent = foreign ? `${proposal.verb.toUpperCase()}: ${proposal.holder} holds the lease. Reason to take it over:` : `${proposal.text}?`;
     this.say("", true);
-    byId("confirm-yes").focus();
+    byId(foreign ? "reason" : "confirm-yes").focus();
     this.timer = setTimeout(() => this.ask(null), proposal.for_s * 1000);
   }
 
   async confirm() {
     const proposal = this.waiting;
     if (!proposal) return;
+    const reason = byId("reason").value.trim();
+    if (proposal.holder && !reason) return byId("reason").focus();
     this.ask(null);
+    if (proposal.holder) return this.give(proposal.verb, reason);
     this.say("...", true);
     const { ok, answer } = await this.session.post("confirm", { confirm: proposal.confirm });
     this.say(answer.text, ok);
   }
 
   say(text, ok) {
-    byId("said").textContent = text;
+    byId("said").textContent = text && text !== "..." ? `${new Date().toLocaleTimeString([], { hour12: false })} ${text}` : text;
     byId("said").className = ok ? "" : "bad";
   }
 }

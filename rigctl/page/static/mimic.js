@@ -4,20 +4,23 @@ const TOP = 78, TRAVEL = 70, ROD = 150; // cylinder: upper end, drawn travel, ro
 const PARTS = `
 <rect class="rail" x="30" y="34" width="380" height="14"/>
 <text class="label" x="34" y="26">rail</text>
-<rect class="carriage" x="176" y="44" width="68" height="26"/>
-<g id="m-drive"><circle cx="282" cy="60" r="19"/><text x="282" y="67" text-anchor="middle">M</text></g>
-<text id="m-drive-text" x="308" y="58">drive</text>
-<text id="m-brake-text" x="290" y="112">brake</text>
-<rect class="cylinder" x="192" y="70" width="36" height="84"/>
+<line class="floor" x1="70" x2="350" y1="398" y2="398"/><text class="label" x="356" y="403">floor</text>
+<path id="m-path" class="path" d=""/>
+<rect class="carriage" x="176" y="48" width="68" height="26"/>
+<g id="m-drive"><circle cx="282" cy="82" r="17"/><text x="282" y="89" text-anchor="middle">M</text></g>
+<text id="m-drive-text" x="306" y="88">drive</text>
+<rect class="cylinder" x="192" y="74" width="36" height="80"/>
 <rect id="m-rod" class="rod" x="204" y="80" width="12" height="80"/>
-<g id="m-brake"><rect id="m-shoe-1" width="20" height="22" y="94"/><rect id="m-shoe-2" width="20" height="22" y="94"/></g>
+<g id="m-brake"><rect id="m-shoe-1" width="20" height="22" y="112"/><rect id="m-shoe-2" width="20" height="22" y="112"/></g>
+<text id="m-brake-text" class="inferred" x="264" y="129">brake</text>
+<text id="m-held" class="label inferred" x="264" y="150"></text>
 <g class="scale"><line x1="120" x2="120" y1="80" y2="150"/><line x1="112" x2="128" y1="80" y2="80"/><line x1="112" x2="128" y1="150" y2="150"/>
 <text id="m-max" x="106" y="85" text-anchor="end"></text><text id="m-min" x="106" y="155" text-anchor="end"></text>
 <path id="m-stroke" d="M122 0 l12 -7 v14 z"/><text id="m-stroke-text" x="106" y="0" text-anchor="end"></text></g>
 <g id="m-hang"><path id="m-rope" class="rope"/><path id="m-spring" class="spring"/><rect id="m-load" class="load" x="-48" y="166" width="96" height="46"/><text id="m-load-text" x="0" y="195" text-anchor="middle">payload</text></g>
-<line class="plumb" x1="210" x2="210" y1="160" y2="384"/>
-<text id="m-tension" x="290" y="152"></text><text id="m-pull" class="label" x="290" y="171"></text>
-<text id="m-angle" x="290" y="202"></text><text id="m-drawn" class="label" x="290" y="221"></text>`;
+<line class="plumb" x1="210" x2="210" y1="160" y2="396"/>
+<text id="m-tension" x="286" y="196"></text><text id="m-pull" class="label" x="286" y="215"></text>
+<text id="m-angle" x="286" y="248"></text><text id="m-drawn" class="label" x="286" y="267"></text>`;
 
 export class Mimic {
   constructor(svg) {
@@ -29,44 +32,58 @@ export class Mimic {
   }
 
   show(state) {
-    const { part } = this, values = state.values ?? {}, on = (state.flag_names ?? []).includes("drive_enabled");
-    const [low, high] = this.range, stroke = values.stroke_mm, known = typeof stroke === "number";
+    const { part } = this, values = state.values ?? {}, doubts = state.doubts ?? {}, { drive, brake } = state;
+    const [low, high] = this.range, stroke = values.stroke_mm, known = typeof stroke === "number", sure = known && !("drive" in doubts);
     const share = known ? Math.min(Math.max((stroke - low) / (high - low || 1), 0), 1) : 0.5;
     const end = ROD + 10 + TRAVEL * 0.5 * (1 - share); // a longer stroke shortens the rope
-    set(part.rod, { height: end - 80 });
-    set(part.drive, { class: on ? "on" : "off" });
-    text(part["drive-text"], on ? "drive on" : "drive off");
-    set(part["shoe-1"], { x: on ? 166 : 184 });
-    set(part["shoe-2"], { x: on ? 234 : 216 });
-    set(part.brake, { class: on ? "open" : "closed" });
-    text(part["brake-text"], on ? "brake open" : "brake closed");
+    set(part.rod, { height: end - 80, class: sure ? "rod" : "rod unknown" });
+    set(part.drive, { class: drive === "on" ? "on" : drive === "off" ? "off" : "unknown" });
+    text(part["drive-text"], `drive ${drive}`);
+    const apart = brake === "open" ? 18 : brake === "closed" ? 0 : 9;
+    set(part["shoe-1"], { x: 184 - apart });
+    set(part["shoe-2"], { x: 216 + apart });
+    set(part.brake, { class: brake === "closed" ? "closed" : brake === "open" ? "open" : "unknown" });
+    text(part["brake-text"], `brake ${brake}`);
     text(part.max, `${high} mm`);
     text(part.min, `${low} mm`);
-    const y = 150 - share * TRAVEL, near = known && (share < 0.05 || share > 0.95);
-    set(part.stroke, { transform: `translate(0 ${y})`, class: known ? (near ? "near" : "") : "hidden" });
-    set(part["stroke-text"], { y: share > 0.82 ? y + 26 : share < 0.18 ? y - 12 : y + 5 });
+    const y = 150 - share * TRAVEL, near = sure && (share < 0.05 || share > 0.95);
+    set(part.stroke, { transform: `translate(0 ${y})`, class: sure ? (near ? "near" : "") : "hidden" });
+    set(part["stroke-text"], { y: share > 0.82 ? y + 26 : share < 0.18 ? y - 12 : y + 5, class: known && !sure ? "doubtful" : "" });
     text(part["stroke-text"], known ? `${stroke.toFixed(1)} mm${near ? " END" : ""}` : "stroke ?");
-    this.hang(values, end);
-    this.tell(state, on);
+    this.path(state, end);
+    this.hang(values, doubts, end);
+    this.tell(state);
   }
 
-  hang(values, end) {
+  // What carries the load: from the rail through motor or brake, rod and rope to the payload; dots where it is inferred.
+  path(state, end) {
+    const by = state.drive === "not known" ? "UNKNOWN" : state.held_by;
+    const through = { MOTOR: "M210 41 L282 82 L210 108", NOTHING: "M210 41 L282 82 L210 108", BRAKE: "M210 41 V112" }[by];
+    const words = { MOTOR: "motor carries", NOTHING: "motor moves it", BRAKE: "brake carries", CLOSING: "brake closing", TAKING: "motor takes it" }[by] ?? "what carries: not known";
+    set(this.part.path, { d: through ? `${through} V${end}` : "", class: by === "BRAKE" ? "path inferred" : "path" });
+    text(this.part.held, words);
+  }
+
+  hang(values, doubts, end) {
     const { part } = this, angle = values.tangential_deg, tension = values.tension_n;
-    const drawn = typeof angle === "number" ? Math.min(Math.max(TIMES * angle, -MOST_DEG), MOST_DEG) : 0;
-    const slack = typeof tension === "number" && tension < 2;
+    const sure = typeof tension === "number" && !("tension" in doubts), angleSure = typeof angle === "number" && !("inclination" in doubts);
+    const drawn = angleSure ? Math.min(Math.max(TIMES * angle, -MOST_DEG), MOST_DEG) : 0;
+    const slack = sure && tension < 2;
     set(part.hang, { transform: `translate(210 ${end}) rotate(${-drawn})` });
-    set(part.rope, { d: slack ? "M0 0 q9 12 0 24 t0 24 t0 24 t0 24" : "M0 0 V96", class: slack ? "rope slack" : "rope" });
+    set(part.rope, { d: slack ? "M0 0 q9 12 0 24 t0 24 t0 24 t0 24" : "M0 0 V96", class: sure ? (slack ? "rope slack" : "rope") : "rope unknown" });
     const zig = Array.from({ length: 8 }, (_, i) => `L${i % 2 ? -9 : 9} ${102 + 7 * i}`).join(" ");
-    set(part.spring, { d: `M0 96 ${zig} L0 160 V166` });
+    set(part.spring, { d: `M0 96 ${zig} L0 160 V166`, class: sure ? "spring" : "spring unknown" });
+    set(part.tension, { class: sure || typeof tension !== "number" ? "" : "doubtful" });
     text(part.tension, typeof tension === "number" ? `${Math.abs(tension) < 0.05 ? "0.0" : tension.toFixed(1)} N` : "tension ?");
-    text(part.pull, slack ? "rope slack" : "in the rope");
-    const beyond = typeof angle === "number" && Math.abs(TIMES * angle) > MOST_DEG;
+    text(part.pull, sure ? (slack ? "rope slack" : "in the rope") : "not to be trusted");
+    const beyond = angleSure && Math.abs(TIMES * angle) > MOST_DEG;
+    set(part.angle, { class: typeof angle === "number" && !angleSure ? "doubtful" : "" });
     text(part.angle, typeof angle === "number" ? `${angle < 0 ? "" : "+"}${angle.toFixed(2)}°` : "angle ?");
-    text(part.drawn, beyond ? "off the drawing" : `drawn ×${TIMES}`);
+    text(part.drawn, !angleSure ? "not to be trusted" : beyond ? "off the drawing" : `drawn ×${TIMES}`);
   }
 
-  tell(state, on) {
-    const said = `${state.mode}: drive ${on ? "on, brake open" : "off, brake closed"}; ${state.answers?.does ?? ""}`;
+  tell(state) {
+    const said = `${state.mode}: drive ${state.drive}, brake ${state.brake}; ${state.answers?.does ?? ""}`;
     if (said !== this.said) this.svg.setAttribute("aria-label", (this.said = said));
   }
 }

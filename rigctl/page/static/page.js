@@ -85,18 +85,22 @@ function choose(window) {
 
 function see(view) {
   document.querySelector("main").dataset.view = view;
+  for (const area of document.querySelectorAll("main > section")) area.hidden = !area.classList.contains(`of-${view}`);
   for (const button of byId("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
   strips.resize();
   histogram.draw();
   polarDrawn = drawn = 0;
+  panel.fit();
 }
 
 function show(message) {
   state = message;
   heard = performance.now();
+  panel.operator = session.operator;
   panel.show(state);
   commands.show(state);
-  if (state.values && !strips.paused) strips.title(state.values, typeof state.values.error_n === "number");
+  if (state.values && !strips.paused) strips.title(state.values, typeof state.values.error_n === "number" && !state.ramping, state.doubts ?? {}, state.mode);
+  panel.fit();
   look();
 }
 
@@ -115,14 +119,31 @@ function blame() {
   return state.why || "the loop writes no records";
 }
 
+// The age shown is that of the oldest measurement; without data at all the instructions stay, the measurements go grey.
 function look() {
-  const age = ageS(), stale = age > STALE_S;
-  byId("age").textContent = Number.isFinite(age) ? `${age < 10 ? age.toFixed(1) : age.toFixed(0)} s` : "-";
+  const age = ageS(), stale = age > STALE_S, shown = age + (state?.oldest_ms ?? 0) / 1000;
+  byId("age").textContent = Number.isFinite(shown) ? `${shown < 10 ? shown.toFixed(1) : shown.toFixed(0)} s old` : "-";
   document.body.classList.toggle("stale", stale);
+  byId("entry-box").classList.toggle("unknown", stale);
   if (!stale) return;
-  byId("stale-what").textContent = Number.isFinite(age) ? `NO DATA FOR ${Math.floor(age)} s` : session.reads ? "NO DATA" : "SIGN IN";
-  const why = blame();
-  byId("stale-why").textContent = Number.isFinite(age) ? `${why}. What is below is old.` : why;
+  const known = Number.isFinite(age), silent = performance.now() - heard > 500 * STALE_S;
+  set("stale-what", known ? `NO DATA FOR ${Math.floor(age)} s` : session.reads ? "NO DATA" : "SIGN IN");
+  const hold = silent ? "HOLD from this page does not arrive: use the emergency stop, or rigctl hold at the rig's computer." : state?.hold ?? "";
+  set("stale-why", [`${blame()}.`, known ? "The measurements shown are old." : "", known ? hold : ""].filter(Boolean).join(" "));
+  set("entry", "KEEP OUT");
+  set("entry-why", "what the rig does is not known");
+  byId("entry-box").dataset.entry = "KEEP OUT";
+  if (!session.reads) return panel.steps([{ text: "Open a link of rigctl page (rigctl page --link prints one).", verb: "" }]);
+  panel.steps([
+    { text: "Keep out of the hall.", verb: "" },
+    { text: "If the load moves: press the emergency stop.", verb: "" },
+    { text: silent ? "At the rig's computer: rigctl status; start the page anew." : "At the rig's computer: rigctl doctor; start the daemon anew.", verb: "" },
+  ]);
+  panel.fit();
+}
+
+function set(id, text) {
+  if (byId(id).textContent !== text) byId(id).textContent = text;
 }
 
 function animate() {
@@ -150,6 +171,7 @@ const link = new Link(take, session, () => commands.rights(), chosen);
 strips.onView = () => (drawn = 0);
 strips.tools();
 for (const button of byId("views").querySelectorAll("button")) button.addEventListener("click", () => see(button.dataset.view));
+see("rig");
 setInterval(look, 200);
 requestAnimationFrame(animate);
 

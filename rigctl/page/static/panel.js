@@ -5,6 +5,7 @@ const signed = (value, digits, unit) => (typeof value === "number" && value >= 0
 
 const BEFORE = "before arming";
 const REGULATED = ["TENSIONING", "COMPENSATING", "RELEASING"];
+const DEVICE_OF = { vertical_n: "tension", tension_n: "tension", stroke_mm: "drive", speed_mm_s: "drive", tangential_deg: "inclination", normal_deg: "inclination" };
 
 export class Panel {
   constructor(bar, mimic, alarms) {
@@ -13,71 +14,106 @@ export class Panel {
     this.alarms = alarms;
     this.lists = new Map();
     this.bandPct = 5;
+    this.operator = null;
+    addEventListener("resize", () => this.fit());
   }
 
   set settings(message) {
     this.bandPct = message.band_pct;
+    this.bar.settings = message;
     this.mimic.range = message.stroke_range_mm.map((end) => end ?? 0);
   }
 
   show(state) {
     if (state.rig) set(byId("rig"), state.rig);
     set(byId("clock"), new Date(state.server_wall_ms).toLocaleTimeString([], { hour12: false }));
-    this.alarms.show(state.alarms ?? []);
+    this.alarms.show(state.alarms ?? [], state.tally);
     if (state.mode === undefined) return;
     document.title = `${state.mode} - ${state.rig}`;
     set(byId("mode"), state.mode);
-    byId("mode").dataset.mode = state.mode;
+    byId("mode-box").dataset.mode = state.mode;
+    const { origin } = state;
+    set(byId("origin-for"), origin ? `for ${duration(state.server_wall_ms - origin.since_ms)}` : "");
+    set(byId("origin-clock"), origin ? `, since ${clock(origin.since_ms)}` : "");
+    set(byId("origin-by"), origin ? ` · ${origin.by}` : "");
     this.banner(state);
-    if (!state.values) return;
-    this.numbers(state, state.values);
-    this.mimic.show(state);
-    this.list("rows", this.rows(state));
-    this.list("devices", state.devices.map(({ name, text, age_ms, bad }) => [name, `${bad ? "▲ " : ""}${text}${age_ms === null ? "" : `, ${age(age_ms)}`}`, bad ? "yellow" : ""]));
-    this.list("timing-rows", this.timing(state));
-    set(byId("light"), state.timing.good ? "● in time" : `▲ ${state.timing.text}`);
-    byId("light").classList.toggle("late", !state.timing.good);
+    if (state.values) {
+      this.numbers(state, state.values);
+      this.mimic.show(state);
+      this.list("rows", this.rows(state));
+      this.list("devices", state.devices.map(({ name, text, age_ms, bad, sure }) => [name, `${bad ? "▲ " : ""}${text}${age_ms === null ? "" : `, ${age(age_ms)}`}`, [bad ? "yellow" : "", sure ? "" : "inferred"].join(" ").trim()]));
+      this.list("timing-rows", this.timing(state));
+      this.list("record-rows", this.records(state));
+    }
   }
 
-  // The strongest cause, its value and limit, since when; what the rig does now, what blocks a reset, what comes next;
-  // then every other cause: with many of them the answers stay in sight.
+  // One place and one size: what is named first, what follows from it, and numbered steps.
   banner(state) {
-    const { causes, does, blocks, next, entry } = state.answers, why = state.why;
+    const { parts, text, value, limit, since_ms, follows, active, priority, blocks, does, entry, entry_why } = state.answers;
     set(byId("does"), does ? `now: ${does}` : "");
-    set(byId("next"), next ? `next: ${next}` : "");
-    set(byId("entry"), entry ? `entry: ${entry}` : "");
-    byId("entry").className = "";
-    const lines = causes.map((cause) => {
-      const parts = [`${cause.stands ? "■ " : "□ "}${cause.fault}: ${cause.text}`];
-      if (cause.since_ms !== null) parts.push(`since ${new Date(cause.since_ms).toLocaleTimeString([], { hour12: false })} (${duration(state.server_wall_ms - cause.since_ms)})`);
-      if (cause.value || cause.limit) parts.push(`value ${cause.value || "-"}, limit ${cause.limit || "-"}`);
-      parts.push(cause.stands ? (cause.blocks ? "blocks a reset" : "stands") : "over, latched until the reset");
-      return parts.join(" · ");
-    });
-    if (!lines.length && why) lines.push(`■ ${why}`);
-    if (lines.length) lines.splice(1, 0, `Now: ${does}. Reset: ${blocks ? (/^nothing/.test(blocks) ? "is accepted" : `blocked by ${few(blocks)}`) : "not needed"}.`, `Next: ${next || "-"}`);
-    byId("alarm").hidden = !lines.length;
-    set(byId("alarm-first"), lines.slice(0, 3).join("\n"));
-    set(byId("alarm-others"), lines.slice(3).join("\n"));
-    byId("next").hidden = lines.length > 0;
+    set(byId("entry"), entry);
+    set(byId("entry-why"), entry_why);
+    byId("entry-box").dataset.entry = entry;
+    const named = parts.length > 0;
+    byId("banner").dataset.tone = named ? "fault" : "calm";
+    set(byId("cause-caption"), named ? `cause${priority ? ` · priority ${priority}` : ""} · ${active ? "active" : "cleared, latched until RESET"}` : "cause");
+    set(byId("cause"), named ? parts.map((part) => part.toUpperCase()).join(" / ") : "none");
+    const facts = [text];
+    if (value || limit) facts.push(`value ${value || "-"}, limit ${limit || "-"}`);
+    if (since_ms !== null) facts.push(`since ${clock(since_ms)} (${duration(state.server_wall_ms - since_ms)})`);
+    const lines = [facts.filter(Boolean).join(" · ")];
+    if (blocks) lines.push(/^nothing/.test(blocks) ? `RESET is blocked by ${blocks.replace(": RESET is accepted", "")}` : `RESET is blocked by ${few(blocks)}`);
+    if (follows.length) lines.push(`+${follows.length} that follow: ${few(follows.join(", "))}`);
+    if (!named) lines[0] = text || "no fault is latched";
+    set(byId("cause-text"), lines.filter(Boolean).join("\n"));
+    if (!document.body.classList.contains("stale")) this.steps(state.answers.steps);
+  }
+
+  steps(steps) {
+    const said = JSON.stringify([steps, this.operator]);
+    if (said === this.stepsSaid) return;
+    this.stepsSaid = said;
+    byId("steps").replaceChildren(...steps.map(({ text, verb }) => {
+      const item = element("li", text);
+      if (verb && !this.operator) item.append(element("span", ` (rigctl ${verb})`, "quiet"));
+      return item;
+    }));
+  }
+
+  // Large words that do not fit are drawn smaller, never cut; after every change of words, size or view.
+  fit() {
+    for (const node of document.querySelectorAll(".big, #steps, #cause-text, .under")) {
+      const said = `${node.textContent} ${node.clientWidth} ${node.clientHeight}`;
+      if (node.dataset.fitted === said) continue;
+      node.style.fontSize = "";
+      const full = parseFloat(getComputedStyle(node).fontSize);
+      for (let px = full; px > 11 && (node.scrollWidth > node.clientWidth + 1 || (!node.matches(".big") && node.scrollHeight > node.clientHeight + 1)); px *= 0.94) node.style.fontSize = `${px}px`;
+      node.dataset.fitted = `${node.textContent} ${node.clientWidth} ${node.clientHeight}`;
+    }
   }
 
   numbers(state, values) {
-    const inclination = state.inclination ?? "good", flaws = state.flaws ?? "", regulated = REGULATED.includes(state.mode);
-    const n = typeof values.vertical_n === "number" ? values.vertical_n.toFixed(2) : "-";
-    set(byId("vertical"), n === "-0.00" ? "0.00" : n);
-    const compensating = typeof values.error_n === "number", outside = compensating && values.error_pct > this.bandPct;
+    const doubts = state.doubts ?? {}, regulated = REGULATED.includes(state.mode);
+    this.value("vertical", values, "vertical_n", doubts, (v) => (v.toFixed(2) === "-0.00" ? "0.00" : v.toFixed(2)));
+    const known = !("tension" in doubts), compensating = known && typeof values.error_n === "number";
+    const outside = compensating && !state.ramping && values.error_pct > this.bandPct;
     byId("vertical").closest(".tension").classList.toggle("outside", outside);
-    set(byId("error"), compensating ? `${outside ? "▲ " : ""}error ${signed(values.error_n, 2, "N")} (${fixed(values.error_pct, 2, "%")})` : "not regulated");
-    this.bar.show(values.vertical_n, values.target_n, this.bandPct, regulated);
+    set(byId("error"), !known ? `▲ not to be trusted: ${doubts.tension}` : state.ramping ? `on the way to ${fixed(values.target_n, 1, "N")}` : compensating ? `${outside ? "▲ " : ""}error ${signed(values.error_n, 2, "N")} (${fixed(values.error_pct, 2, "%")})` : state.mode === "TENSIONING" ? `on the way to ${fixed(values.target_n, 1, "N")}` : "not regulated");
+    this.bar.show(known ? values.vertical_n : null, values.target_n, this.bandPct, regulated);
     set(byId("target"), fixed(values.target_n, 1, "N"));
-    set(byId("stroke"), fixed(values.stroke_mm, 2, "mm"));
-    set(byId("speed"), signed(values.speed_mm_s, 2, "mm/s"));
-    for (const axis of ["tangential", "normal"]) {
-      set(byId(axis), signed(values[`${axis}_deg`], 3, "°"));
-      byId(axis).className = inclination === "good" ? "" : "flaw";
-    }
-    byId("stroke").className = byId("speed").className = flaws.includes("drive") ? "flaw" : "";
+    this.value("stroke", values, "stroke_mm", doubts, (v) => fixed(v, 2, "mm"));
+    this.value("speed", values, "speed_mm_s", doubts, (v) => signed(v, 2, "mm/s"));
+    for (const axis of ["tangential", "normal"]) this.value(axis, values, `${axis}_deg`, doubts, (v) => signed(v, 3, "°"));
+  }
+
+  // A value that is not trusted is struck through, with why.
+  value(id, values, name, doubts, words) {
+    const doubt = doubts[DEVICE_OF[name]], number = values[name], there = typeof number === "number";
+    const node = byId(id), doubtful = doubt !== undefined && there;
+    node.classList.toggle("doubtful", doubtful);
+    set(node, there ? words(number) : "-");
+    if (doubtful) node.title = doubt;
+    else node.removeAttribute("title");
   }
 
   rows(state) {
@@ -85,21 +121,24 @@ export class Panel {
     if (state.limits?.length) rows.push(["limits", state.limits.join("; "), "yellow"]);
     if (state.flags) rows.push(["flags", state.flags, ""]);
     if (state.flaws) rows.push(["signals", state.flaws, "yellow"]);
-    if (state.inclination && state.inclination !== "good") rows.push(["inclination", state.inclination, "yellow"]);
     for (const [words, style] of state.checks ?? []) rows.push([rows.some(([label]) => label === BEFORE) ? "" : BEFORE, words, style]);
-    rows.push(["calibration", ...state.calibration], ["lease", state.lease.text, ""], ["recorder", ...state.recorder]);
-    for (const words of state.warnings) rows.push(["warning", words, "yellow"]);
+    rows.push(["lease", state.lease.text, ""]);
     if (state.samples_lost) rows.push(["lost here", `${state.samples_lost} samples`, "yellow"]);
-    rows.push(["daemon", state.endpoint, ""]);
     return rows;
   }
 
   timing(state) {
-    const rows = [["summary", state.timing.text, state.timing.good ? "" : "yellow"]];
+    const rows = [["summary", state.timing.text, ""]];
     rows.push(["lateness", state.lateness, ""], ["work", state.work, ""], ["skipped", `${state.values.skipped} of ${state.values.tick} ticks`, ""]);
     rows.push(["bus", state.bus, state.bus_bad ? "yellow" : ""]);
     if (state.design) rows.push(["design", state.design, ""]);
     if (state.margins) rows.push(["margins", state.margins, ""]);
+    return rows;
+  }
+
+  records(state) {
+    const rows = [["calibration", ...state.calibration], ["recorder", ...state.recorder], ["daemon", state.endpoint, ""]];
+    for (const words of state.warnings) rows.push(["warning", words, ""]);
     return rows;
   }
 
@@ -111,6 +150,7 @@ export class Panel {
   }
 }
 
+const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour12: false });
 const age = (ms) => (ms < 1000 ? `${ms.toFixed(0)} ms old` : `${(ms / 1000).toFixed(1)} s old`);
 
 function duration(ms) {

@@ -1,17 +1,18 @@
 // Strip charts: one uPlot each, one path each, all on the same time axis.
 import { Store } from "./store.js";
-import { colours, keep, kept, nice } from "./look.js";
+import { colours, keep, kept, nice, sized } from "./look.js";
 
 const AXIS_PX = 66;
 const SHORTEST_S = 2; // the closest zoom
 const COMPENSATING = 3, CLOSED = [2, 3, 4]; // rigctl.control.modes.Mode: where the error, the tension is regulated
+const GUTTER_PX = 78; // right of the traces: what the lines are
 const HAIR_PX = 0.7;
 const POINTS = 2 * Store.BUCKETS;
 
 // What each strip shows; `least`: smallest span of its axis.
 const STRIPS = [
   { signal: "vertical_n", title: "tension, vertical", unit: "N", digits: 2, least: 10 },
-  { signal: "error_pct", title: "vertical error", unit: "%", digits: 3, least: 2, newtons: true },
+  { signal: "error_pct", title: "vertical error", unit: "%", digits: 3, least: 2 },
   { signal: "stroke_mm", title: "stroke", unit: "mm", digits: 2, least: 5 },
   { signal: "speed_mm_s", title: "speed", unit: "mm/s", digits: 2, least: 2 },
 ];
@@ -30,13 +31,14 @@ export class Strips {
     this.onView = () => {};
     this.x = new Array(POINTS).fill(0);
     this.target = new Array(POINTS).fill(null);
-    this.charts = STRIPS.map((strip, i) => this.make(strip, i === STRIPS.length - 1));
+    this.charts = STRIPS.map((strip) => this.make(strip));
+    this.lane = this.makeLane();
     new ResizeObserver(() => this.resize()).observe(root);
   }
 
-  make(strip, last) {
+  make(strip) {
     const box = document.createElement("div");
-    box.className = last ? "strip last" : "strip";
+    box.className = "strip";
     const title = document.createElement("div");
     title.className = "title";
     title.append(`${strip.title} `);
@@ -46,31 +48,32 @@ export class Strips {
     plot.className = "plot";
     box.append(title, plot);
     this.root.append(box);
-    return { strip, last, box, plot, value, note, y: new Array(POINTS).fill(null), u: null, range: [0, 1] };
+    return { strip, box, plot, value, note, y: new Array(POINTS).fill(null), u: null, range: [0, 1] };
+  }
+
+  // Below the charts: the time of day, and what each marker is called.
+  makeLane() {
+    const lane = document.createElement("div");
+    lane.className = "lane";
+    const canvas = lane.appendChild(document.createElement("canvas"));
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute("aria-label", "time of day, and names of the events");
+    this.root.append(lane);
+    return canvas;
   }
 
   // (Re)made for a theme: uPlot takes its colours once.
   restyle() {
-    const c = colours();
+    const c = (this.c = colours());
     for (const chart of this.charts) {
       chart.u?.destroy();
       const grid = { stroke: c.grid, width: 1 }, ticks = { show: false };
       const axis = { stroke: c.dim, grid, ticks, font: "12px DejaVu Sans, sans-serif" };
-      const labelled = { labelSize: 15, labelFont: axis.font, labelGap: 0 };
       const sides = [
-        { ...axis, show: true, size: chart.last ? 22 : 0, space: 90, ...(chart.last ? { ...labelled, label: "time of day, h:min:s" } : {}),
-          values: (u, splits) => splits.map((at) => (chart.last ? clock(at) : "")) },
-        { ...axis, ...labelled, label: chart.strip.unit, size: AXIS_PX - 15, space: 26 },
+        { ...axis, size: 0, space: 90, values: (u, splits) => splits.map(() => "") },
+        { ...axis, labelSize: 15, labelFont: axis.font, labelGap: 0, label: chart.strip.unit, size: AXIS_PX - 15, splits: () => ticksOf(chart.range, chart.plot.clientHeight) },
       ];
       const scales = { x: { time: true, auto: false }, y: { auto: false, range: () => chart.range } };
-      const rightSide = { ...axis, side: 1, scale: "newtons", ...labelled, label: "N", size: AXIS_PX - 15, space: 26, grid: { show: false },
-        values: (u, splits) => splits.map((v) => (v === null ? "" : trimmed(v))) };
-      if (chart.strip.newtons) {
-        scales.newtons = { auto: false, range: (u, min, max) => [min, max] };
-        sides.push(rightSide);
-      } else {
-        sides.push({ ...rightSide, label: "", scale: "y", values: (u, splits) => splits.map(() => "") });
-      }
       chart.u = new uPlot({
         width: chart.plot.clientWidth || 300, height: chart.plot.clientHeight || 100, pxAlign: 0,
         legend: { show: false }, select: { show: true },
@@ -78,7 +81,7 @@ export class Strips {
         scales, axes: sides,
         series: [{}, { stroke: c.trace, width: 1.5, points: { show: false }, spanGaps: false }],
         hooks: { drawClear: [(u) => this.under(u, chart, c)], draw: [(u) => this.over(u, chart, c)], setCursor: [(u) => this.pointed(u)], setSelect: [(u) => this.chosen(u)] },
-        padding: [6, 0, chart.last ? 0 : 4, 0],
+        padding: [7, GUTTER_PX, 7, 0],
       }, [this.x, chart.y], chart.plot);
     }
   }
@@ -108,12 +111,9 @@ export class Strips {
         chart.u.setData([this.x, chart.y], false);
         chart.u.setScale("x", { min: edge - spanS, max: edge });
         chart.u.setScale("y", { min: chart.range[0], max: chart.range[1] });
-        if (chart.strip.newtons) {
-          const [min, max] = chart.range.map((pct) => (pct * this.newtonsFor(100)) / 100);
-          chart.u.setScale("newtons", { min, max });
-        }
       });
     }
+    this.names(edge - spanS, edge);
     this.draws++;
     if (this.paused) this.atCursor();
   }
@@ -219,13 +219,43 @@ export class Strips {
     ctx.beginPath();
     ctx.rect(left, top, width, height);
     ctx.clip();
-    if (chart.strip.signal === "vertical_n") this.targetBands(u, c);
-    if (chart.strip.signal === "error_pct" && this.settings) this.errorBands(u, c);
+    const said = [];
+    if (chart.strip.signal === "vertical_n") this.targetBands(u, c, said);
+    if (chart.strip.signal === "error_pct" && this.settings) this.errorBands(u, c, said);
     for (const limit of this.settings?.[chart.strip.signal === "vertical_n" ? "tension_n" : chart.strip.signal] ?? []) {
       line(u, limit.value, c.limit);
+      said.push([limit.value, `limit ${trimmed(limit.value)}`]);
     }
     this.moments(u, chart, c);
     ctx.restore();
+    label(u, said, c.dim);
+  }
+
+  // The time of day, and under it the names of what the markers mark; of names that would overlap, the first.
+  names(min, max) {
+    const area = sized(this.lane), u = this.charts[0].u;
+    if (!area || !u) return;
+    const { ctx, width } = area, left = AXIS_PX, right = width - GUTTER_PX, c = this.c;
+    const x = (at) => left + ((at - min) / (max - min)) * (right - left);
+    ctx.font = "12px DejaVu Sans, sans-serif";
+    ctx.fillStyle = c.dim;
+    const step = stepOf((max - min) / Math.max(2, Math.floor((right - left) / 95)));
+    ctx.textAlign = "center";
+    for (let at = Math.ceil(min / step) * step; at <= max; at += step) {
+      if (x(at) > left + 28 && x(at) < right - 28) ctx.fillText(clock(at), x(at), 11);
+    }
+    ctx.textAlign = "left";
+    ctx.fillText("time", 6, 11);
+    ctx.fillText("events", 6, 28);
+    let last = left - 6;
+    const named = [...this.events.map((event) => [event.wall_ms / 1000, event.name ?? "", event.severity === "error" ? c.bad : c.dim]), ...this.marks.map((at, i) => [at, `M${i + 1}`, c.ink])].sort((a, b) => a[0] - b[0]);
+    for (const [at, name, colour] of named) {
+      const from = x(at);
+      if (at < min || at > max || from < last + 6 || from + ctx.measureText(name).width > width) continue;
+      ctx.fillStyle = colour;
+      ctx.fillText(name, from, 28);
+      last = from + ctx.measureText(name).width;
+    }
   }
 
   // Events on the time axis, and the reader's own markers.
@@ -244,13 +274,9 @@ export class Strips {
       ctx.lineTo(x, top + height);
       ctx.stroke();
       ctx.globalAlpha = 1;
-      ctx.beginPath();
-      if (event.severity === "error") ctx.rect(x - 5, top + height - 10, 10, 10);
-      else ctx.moveTo(x - 6, top + height), ctx.lineTo(x, top + height - 10), ctx.lineTo(x + 6, top + height);
-      ctx.fill();
     }
     ctx.fillStyle = ctx.strokeStyle = c.ink;
-    this.marks.forEach((at, i) => {
+    this.marks.forEach((at) => {
       if (at < min || at > max) return;
       const x = u.valToPos(at, "x", true);
       ctx.setLineDash([2, 4]);
@@ -259,9 +285,6 @@ export class Strips {
       ctx.lineTo(x, top + height);
       ctx.stroke();
       ctx.setLineDash([]);
-      ctx.font = `${12 * devicePixelRatio}px DejaVu Sans, sans-serif`;
-      ctx.textAlign = "left";
-      if (chart.strip.signal === "vertical_n") ctx.fillText(`M${i + 1}`, Math.min(x + 3, left + width - 20), top + height - 14);
     });
   }
 
@@ -287,7 +310,9 @@ export class Strips {
     ctx.restore();
   }
 
-  targetBands(u, c) {
+  targetBands(u, c, said) {
+    const now = this.targetNow;
+    if (now > 0) said.push([now, `target ${trimmed(now)}`]);
     const share = (this.settings?.band_pct ?? 5) / 100, own = this.ownNewtons();
     for (let i = 0; i < POINTS; ) {
       const target = this.target[i];
@@ -304,12 +329,14 @@ export class Strips {
     }
   }
 
-  errorBands(u, c) {
+  errorBands(u, c, said) {
     const { left, width } = u.bbox, pct = this.settings.band_pct;
     band(u, left, left + width, -pct, pct, c.band);
+    said.push([pct, `band +${pct} %`], [-pct, `band −${pct} %`]);
     for (const limit of this.settings.error_n) {
       const share = (100 * limit.value) / this.newtonsFor(300);
       for (const side of [-share, share]) line(u, side, c.limit);
+      said.push([share, `limit ${trimmed(limit.value)} N`]);
     }
     line(u, 0, c.mark);
   }
@@ -319,13 +346,14 @@ export class Strips {
     return Math.min(...(this.settings?.error_n ?? []).map((limit) => limit.value), Infinity) || 0;
   }
 
-  title(values, compensating) {
-    const byName = { vertical_n: values.vertical_n, error_pct: values.error_n === null ? null : (100 * values.error_n) / values.target_n, stroke_mm: values.stroke_mm, speed_mm_s: values.speed_mm_s };
+  title(values, compensating, doubts, mode) {
+    const byName = { vertical_n: values.vertical_n, error_pct: !compensating ? null : (100 * values.error_n) / values.target_n, stroke_mm: values.stroke_mm, speed_mm_s: values.speed_mm_s };
     for (const { strip, value, note } of this.charts) {
       const number = byName[strip.signal];
-      value.textContent = typeof number === "number" ? `${number.toFixed(strip.digits)} ${strip.unit}` : "-";
+      const doubt = doubts[strip.signal === "vertical_n" || strip.signal === "error_pct" ? "tension" : "drive"];
+      value.textContent = doubt !== undefined ? `- (${doubt})` : typeof number === "number" ? `${number.toFixed(strip.digits)} ${strip.unit}` : "-";
       if (strip.signal === "vertical_n") note.textContent = `  target ${trimmed(values.target_n)} N, band ±${this.settings?.band_pct ?? 5} %`;
-      if (strip.signal === "error_pct") note.textContent = compensating ? `  ${signed(values.error_n, 3)} N` : "  (not COMPENSATING)";
+      if (strip.signal === "error_pct") note.textContent = doubt !== undefined ? "" : compensating ? `  ${signed(values.error_n, 3)} N` : mode === "TENSIONING" ? "  (on the way to the target)" : "  (nothing is regulated)";
     }
   }
 }
@@ -333,6 +361,35 @@ export class Strips {
 const clock = (seconds) => new Date(1000 * seconds).toLocaleTimeString([], { hour12: false });
 const trimmed = (value) => (typeof value === "number" ? String(Number(value.toPrecision(4))) : "-");
 const signed = (value, digits) => (typeof value === "number" ? (value < 0 ? "" : "+") + value.toFixed(digits) : "-");
+
+// Three ticks at least: multiples of a round step, else both ends and the middle.
+function ticksOf([low, high], heightPx) {
+  const most = Math.max(2, Math.floor((heightPx - 14) / 17)), step = nice((high - low) / most), found = [];
+  for (let at = Math.ceil(low / step - 1e-9) * step; at <= high + 1e-9 * step; at += step) found.push(Math.abs(at) < 1e-9 * step ? 0 : at);
+  return found.length >= 3 ? found : [low, (low + high) / 2, high];
+}
+
+// A round step of time in s.
+function stepOf(least) {
+  return [1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800].find((step) => step >= least) ?? 3600;
+}
+
+// What the lines are, right of the traces; of two that would overlap, the first.
+function label(u, said, colour) {
+  const { ctx } = u, { left, top, width, height } = u.bbox, drawn = [];
+  ctx.save();
+  ctx.fillStyle = colour;
+  ctx.font = `${11 * devicePixelRatio}px DejaVu Sans, sans-serif`;
+  ctx.textAlign = "left";
+  ctx.textBaseline = "middle";
+  for (const [value, text] of said) {
+    const y = u.valToPos(value, "y", true);
+    if (y < top - 1 || y > top + height + 1 || drawn.some((other) => Math.abs(other - y) < 12 * devicePixelRatio)) continue;
+    drawn.push(y);
+    ctx.fillText(text, left + width + 4 * devicePixelRatio, y);
+  }
+  ctx.restore();
+}
 
 function band(u, from, to, low, high, colour) {
   const top = u.valToPos(high, "y", true), bottom = u.valToPos(low, "y", true);

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from rigctl.devices.objects import DriveState
-from tests.builders import daemons
+from tests.builders.waiting import until
 from tests.guest.inside.guest_rig import TARGET_N, Cable, GuestRig, controller, link, patient
 
 TRIES = 5
@@ -40,14 +40,14 @@ def fallen(rig: GuestRig, stroke_mm: float, after: int, *faults: str) -> None:
     faults = (*faults, "NODE_NOT_OPERATIONAL", "STATUS_STALE", "SUPERVISION_LOST")
     rig.until("FAULT")
     assert rig.state["fault"] in faults, rig.said
-    daemons.wait_for(lambda: re.search(rf"trip ({'|'.join(faults)}): ", rig.said[after:]), log=rig.log)
-    daemons.wait_for(lambda: rig.truth.drive is not DriveState.OPERATION_ENABLED, log=rig.log)
+    until(lambda: re.search(rf"trip ({'|'.join(faults)}): ", rig.said[after:]), log=rig.log)
+    until(lambda: rig.truth.drive is not DriveState.OPERATION_ENABLED, log=rig.log)
     carried(rig, stroke_mm)
 
 
 def refused(rig: GuestRig, cause: str, after: int) -> str:
     """What a reset is told while the cause is there, once it is told to stand."""
-    daemons.wait_for(lambda: re.search(rf"(trip {cause}: |{cause} stands)", rig.said[after:]), log=rig.log)
+    until(lambda: re.search(rf"(trip {cause}: |{cause} is active)", rig.said[after:]), log=rig.log)
     answer = patient(lambda: rig.command("reset"))
     assert not answer["accepted"]
     assert answer["reason"] == "cause_present"
@@ -80,7 +80,7 @@ def test_an_error_passive_controller_is_told_in_words_and_ridden_through(rig: Gu
             rig.cable.order(f"say {words}")
             rig.until_said(event, after)
             assert controller(rig.cable.interface)["state"] == state
-        daemons.wait_for(lambda: rig.state["error_frames"] == before + 5)
+        until(lambda: rig.state["error_frames"] == before + 5)
 
     ridden_through(rig, play)
 
@@ -91,7 +91,7 @@ def test_an_overrun_is_told_in_words_and_ridden_through(rig: GuestRig) -> None:
         rig.cable.order("lose 5")
         rig.cable.order("say e1o")
         rig.until_said("receive overrun, frames lost", after)
-        daemons.wait_for(lambda: rig.state["frames_lost"] > lost)  # some may have been heartbeats, which nobody counts
+        until(lambda: rig.state["frames_lost"] > lost)  # some may have been heartbeats, which nobody counts
 
     ridden_through(rig, play)
 
@@ -100,8 +100,8 @@ def test_a_short_babble_is_ridden_through(rig: GuestRig) -> None:
     def play() -> None:
         unsent = rig.state["send_failures"]
         rig.cable.order("babble 0.3")
-        daemons.wait_for(lambda: rig.state["send_failures"] > unsent)
-        daemons.wait_for(lambda: rig.state["tension_age_ns"] < 100_000_000)
+        until(lambda: rig.state["send_failures"] > unsent)
+        until(lambda: rig.state["tension_age_ns"] < 100_000_000)
 
     ridden_through(rig, play)
 
@@ -112,7 +112,7 @@ def test_an_interface_that_flaps_is_ridden_through(rig: GuestRig) -> None:
         link(rig.cable.interface, "down")
         link(rig.cable.interface, "up")
         rig.until_said("bus not readable: Error receiving: Network is down", after)
-        daemons.wait_for(lambda: rig.state["tension_age_ns"] < 100_000_000)
+        until(lambda: rig.state["tension_age_ns"] < 100_000_000)
 
     ridden_through(rig, play)
 

@@ -18,6 +18,7 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 BUS = "vcan0"
 TARGET_N = 100.0
@@ -64,7 +65,7 @@ def patient(ask: Callable[[], T]) -> T:
             answers.append(ask())
         return bool(answers)
 
-    daemons.wait_for(asked)
+    until(asked)
     return answers[0]
 
 
@@ -99,7 +100,7 @@ class Cable:
         """The interface vanishes."""
         assert self._process.stdin is not None
         self._process.stdin.close()
-        assert self._process.wait(daemons.STOP_LIMIT_S) == 0
+        assert self._process.wait(patience_s()) == 0
 
     def _line(self) -> str:
         assert self._process.stdout is not None
@@ -192,7 +193,7 @@ class GuestRig:
             answers.append(self._answer(verb, value))
             return answers[-1]
 
-        answer = daemons.wait_for(answered, log=self.log)
+        answer = until(answered, log=self.log)
         before = answer.get("reason") == "already" and len(answers) > 1  # carried out, and the answer came too late
         assert answer["accepted"] or before, f"{answer['text']}\n{self.said}"
 
@@ -204,15 +205,15 @@ class GuestRig:
             return None
 
     def until(self, mode: str) -> None:
-        daemons.wait_for(lambda: self.mode == mode, log=self.log)
+        until(lambda: self.mode == mode, log=self.log)
 
     def until_said(self, words: str, after: int = 0) -> None:
         """Wait for an event in the daemon's log, from character ``after`` on."""
-        daemons.wait_for(lambda: words in self.said[after:], log=self.log)
+        until(lambda: words in self.said[after:], log=self.log)
 
     def compensate(self) -> float:
         """COMPENSATING, by the operator's commands alone, the daemon running on; the true stroke then."""
-        daemons.wait_for(self._step, log=self.log)
+        until(self._step, log=self.log)
         assert self._process.poll() is None
         return self.truth.stroke_mm
 
@@ -231,6 +232,8 @@ class GuestRig:
         mode = self.mode
         if verb := {"FAULT": "reset", "DISARMED": "arm", "HOLD": "tension"}.get(mode):
             with contextlib.suppress(NoDaemonError):  # answered too late: the mode says whether it was carried out
+                if mode == "DISARMED":  # a loop that was started anew has the target of the file
+                    self.command("target", TARGET_N)
                 answer = self.command(verb)
                 if verb == "arm" and not answer["accepted"]:
                     self.command("reset")  # the drive's own fault

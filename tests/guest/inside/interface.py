@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import yaml
 
-from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import until
 from tests.guest.inside.guest_rig import BUS
 
 NETWORKD = "/lib/systemd/systemd-networkd"
@@ -56,7 +56,7 @@ def test_the_interface_comes_up_with_the_rig_files_bit_rate(interface: str, tmp_
     with log.open("wb") as out:
         networkd = subprocess.Popen([NETWORKD], stdout=out, stderr=out, env={"SYSTEMD_LOG_LEVEL": "debug"})
     try:
-        daemons.wait_for(lambda: "UP" in shown(interface)["flags"], log=log)
+        until(lambda: "UP" in shown(interface)["flags"], log=log)
         waited = ["/lib/systemd/systemd-networkd-wait-online", f"--interface={interface}:carrier", "--timeout=60"]
         online = subprocess.run(waited, check=False)
         assert online.returncode == 0, log.read_text(errors="replace")[-4000:]

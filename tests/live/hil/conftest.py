@@ -16,6 +16,7 @@ import canopen
 import pytest
 
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 REPOSITORY = ROOT
 
@@ -89,7 +90,7 @@ def finish() -> Callable[[subprocess.Popen[str]], tuple[int, str, str]]:
 
     def finish(process: subprocess.Popen[str]) -> tuple[int, str, str]:
         process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=20)
+        out, err = process.communicate(timeout=patience_s())
         return process.returncode, out, err
 
     return finish

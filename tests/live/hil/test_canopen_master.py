@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import time
-from typing import Any
-
 import canopen
 import pytest
 
 from rigctl.devices import objects
 from rigctl.devices.objects import Controlword, DriveState, EmcyCode, PdoLayout, drive_state
+from tests.builders.waiting import until
 
 pytestmark = pytest.mark.real_time
 CELL, SLOPE, DRIVE, BENCH = 2, 3, 4, 112
@@ -50,14 +48,6 @@ class Rig:
 
     def _take(self, can_id: int, data: bytearray, _: float) -> None:
         self.payloads[can_id - objects.TPDO1_BASE] = bytes(data)
-
-
-def until(condition: Any) -> None:
-    """Wait for a condition; 10 s allow for a busy machine."""
-    deadline = time.monotonic() + 10.0
-    while not condition():
-        assert time.monotonic() < deadline, "it never came"
-        time.sleep(0.001)
 
 
 @pytest.fixture

@@ -12,8 +12,8 @@ import pytest
 
 from tests.builders.paths import ROOT
 from tests.builders.tape import Tape
+from tests.builders.waiting import patience_s
 
-LIMIT_S = 240.0
 CHANNEL = "/tmp/rigctl-paper_rig.sock"
 
 
@@ -29,7 +29,7 @@ def blocks(kind: str) -> list[str]:
 def python(*words: object, folder: pathlib.Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *map(str, words)], cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True, text=True, timeout=LIMIT_S, check=False,
+        capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
 
 
@@ -66,6 +66,7 @@ def test_a_recording_is_read_as_shown(tmp_path: pathlib.Path) -> None:
 
 
 @pytest.mark.real_time
+@pytest.mark.alone
 def test_a_served_rig_is_met_as_shown(served: subprocess.Popen[str], channel: str, tmp_path: pathlib.Path) -> None:
     assert served.poll() is None
     (shown,) = blocks("serve")

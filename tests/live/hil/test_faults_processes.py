@@ -108,6 +108,8 @@ def test_the_load_does_not_notice_what_happens_to_the_daemons_processes() -> Non
         for name, mode in (
             ("gateway_killed", Mode.COMPENSATING),
             ("disk_full", Mode.HOLD),
+            ("recorder_stopped", Mode.COMPENSATING),
+            ("all_but_control_stopped", Mode.COMPENSATING),
             ("control_stopped", Mode.COMPENSATING),
             ("config_replaced_killed", Mode.COMPENSATING),
         ):

@@ -16,18 +16,18 @@ import pytest
 
 from hil.faults.catalogue import BY_ID
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 pytestmark = pytest.mark.real_time
 SYNC = can.Message(arbitration_id=0x80, is_extended_id=False)
 START_ALL = can.Message(arbitration_id=0, data=[1, 0], is_extended_id=False)
 CELL, DRIVE = 0x182, 0x184
-PATIENCE_S = 30.0
 
 
 def inject(*words: object) -> tuple[int, str, str]:
     done = subprocess.run(
         [sys.executable, "-m", "hil", "inject", *map(str, words)],
-        cwd=ROOT, capture_output=True, text=True, timeout=120, check=False,
+        cwd=ROOT, capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
     return done.returncode, done.stdout, done.stderr
 
@@ -37,9 +37,9 @@ def answers(bus: can.BusABC, count: int) -> int:
     seen = 0
     for _ in range(count):
         bus.send(SYNC)
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + patience_s()
         while time.monotonic() < until:
-            message = bus.recv(PATIENCE_S)
+            message = bus.recv(patience_s())
             seen += message is not None and message.arbitration_id == CELL
             if message is not None and message.arbitration_id == DRIVE:
                 break
@@ -55,14 +55,14 @@ def test_a_fault_comes_and_goes_on_the_bus(served: subprocess.Popen[str], rig_fi
         assert answers(bus, 10) == 10
         assert inject(rig_file, "cell_silent") == (0, "cell_silent: the cell's samples stop, until --end\n", "")
         assert answers(bus, 10) == 0
-        assert inject(rig_file, "slope_silent")[::2] == (1, "cell_silent still stands: end it first (--end)\n")
+        assert inject(rig_file, "slope_silent")[::2] == (1, "cell_silent is still injected: end it first (--end)\n")
         assert inject(rig_file, "--end") == (0, "cell_silent has ended\n", "")
         assert answers(bus, 10) == 10
         assert inject(rig_file, "cell_silent", "--for", 0.05)[0] == 0
-        until = time.monotonic() + PATIENCE_S
+        until = time.monotonic() + patience_s()
         while not answers(bus, 1):
             assert time.monotonic() < until
-        assert inject(rig_file, "--end") == (0, "no fault stands\n", "")
+        assert inject(rig_file, "--end") == (0, "no fault is injected\n", "")
 
 
 @pytest.mark.parametrize(
@@ -96,11 +96,11 @@ def test_the_socket_is_its_users_takes_no_rubbish_and_goes_with_the_rig(
         b'{"fault": null, "disturb": {"mass": [{"change_kg": null, "at_s": 0}]}}', b"x" * 70_000,
     ):  # fmt: skip
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(PATIENCE_S)
+            connection.settimeout(patience_s())
             connection.connect(str(path))
             connection.send(rubbish)
             assert b'"done":false' in connection.recv(4096)
-    assert inject(rig_file, "--end") == (0, "no fault stands\n", "")
+    assert inject(rig_file, "--end") == (0, "no fault is injected\n", "")
     assert finish(served)[0] == 0
     assert not path.exists()
     code, _out, err = inject(rig_file, "cell_silent")

@@ -14,6 +14,7 @@ from rigctl.page.server import SITE
 from tests.builders import pages
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 
 @pytest.fixture(scope="module")
@@ -43,11 +44,12 @@ def reader(chromium: Browser, documented: pages.Server) -> Iterator[tuple[Page, 
     tab.close()
 
 
+@pytest.mark.long
 def test_a_reader_finds_a_word_by_the_search(reader: tuple[Page, list[str]]) -> None:
     tab, complaints = reader
     tab.get_by_placeholder("Search").first.fill("tare")
     found = tab.locator(".md-search-result__link", has_text="Commissioning").first
-    found.wait_for(timeout=1000 * pages.PATIENCE_S)
+    found.wait_for(timeout=1000 * patience_s())
     found.click()
     tab.wait_for_url(re.compile(r"/docs/commission\.html"))
     assert complaints == []

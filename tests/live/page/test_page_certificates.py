@@ -15,7 +15,8 @@ from rigctl.ipc.notes import note_message
 from rigctl.wire.session import SessionError, open_client
 from tests.builders.certified import CertifiedDaemon, certified
 from tests.builders.miniature import free_port
-from tests.builders.pages import PATIENCE_S, Server, look, serving, until
+from tests.builders.pages import Server, look, serving
+from tests.builders.waiting import patience_s, until
 
 
 @pytest.fixture(scope="module")
@@ -52,12 +53,12 @@ def test_a_browser_that_trusts_the_rigs_authority_alone_is_served(
     status, _, body = secured.ask("GET", "/")
     assert (status, b"<title>" in body) == (200, True)
     with (
-        socket.create_connection(("127.0.0.1", secured.port), PATIENCE_S) as plain,
+        socket.create_connection(("127.0.0.1", secured.port), patience_s()) as plain,
         pytest.raises(ssl.SSLCertVerificationError),
     ):
         ssl.create_default_context().wrap_socket(plain, server_hostname="127.0.0.1")
     with (
-        socket.create_connection(("127.0.0.1", secured.port), PATIENCE_S) as plain,
+        socket.create_connection(("127.0.0.1", secured.port), patience_s()) as plain,
         pytest.raises(ssl.SSLCertVerificationError, match="not valid for"),
     ):
         authority(certified_daemon).wrap_socket(plain, server_hostname="another-host")

@@ -16,7 +16,8 @@ from playwright.sync_api import Browser
 
 from tests.builders import daemons
 from tests.builders.miniature import free_port
-from tests.builders.pages import PageView, Server, look, serving, until
+from tests.builders.pages import PageView, Server, look, serving
+from tests.builders.waiting import until
 
 pytestmark = pytest.mark.real_time
 
@@ -39,7 +40,7 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
         daemons.simulated_rig(file, folder / "rig.log"),
         daemons.process("rigctl", "run", str(file), "--page-listen", f"127.0.0.1:{port}", log=log) as child,
     ):
-        daemons.wait_for(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
+        until(lambda: child.poll() is not None or b": DISARMED," in log.read_bytes(), log=log)
         assert child.poll() is None, log.read_text()
         with serving(daemons.endpoint(file), "--operator", "kim") as server:
             yield Running(file, log, port, server)
@@ -78,20 +79,19 @@ def mode(seen: PageView, wanted: str) -> None:
 
 @pytest.mark.smoke
 def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Running) -> None:
-    assert seen.run("[...document.querySelectorAll('[data-verb]')].every((button) => button.dataset.why)")
     assert not seen.run("document.querySelector('#hold').disabled")
     assert "kim" in seen.text("#rights")
-    seen.page.click("#take")
-    said(seen, "kim holds the lease")
+    seen.until("!document.querySelector('[data-verb=arm]').dataset.why")
 
-    seen.page.click("[data-verb=arm]")
+    seen.page.click("[data-verb=arm]")  # takes the free lease
     seen.until("!document.querySelector('#confirm').hidden")
     seen.page.click("#confirm-no")
     assert seen.run("rigctl.state.mode") == "DISARMED"  # it was not confirmed
+    seen.until("rigctl.state.lease.mine")
 
     seen.page.press("[data-verb=tension]", "Enter")  # not live, but it can be reached, and says why
     said(seen, "TENSION: tension is not possible in DISARMED: arm first")
-    assert "TENSION: tension is not possible" in seen.text("#why-not")
+    assert "TENSION: not possible in DISARMED: arm first" in seen.text("#why-not")
     give(seen, "arm")
     said(seen, "ARM: armed, HOLD")
     mode(seen, "HOLD")
@@ -129,11 +129,12 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: PageView, run
         seen.until("rigctl.state.lease.text.startsWith('anna')")
         seen.page.click("#hold")
         said(seen, "HOLD refused: hold is not possible in DISARMED")  # by the loop, not for lack of a lease
-        seen.page.click("#take")
-        said(seen, "anna holds the lease")
+        seen.page.click("[data-verb=arm]")
+        seen.until("document.querySelector('#confirm-text').textContent.includes('anna holds the lease')")
         seen.page.fill("#reason", "she has gone home")
-        seen.page.click("#take")
-        said(seen, "kim holds the lease")
+        seen.page.click("#confirm-yes")
+        seen.until("document.querySelector('#confirm-text').textContent.startsWith('ARM: ')")
+        seen.page.click("#confirm-no")
         seen.until("rigctl.state.lease.mine")
         listed(seen, "kim takes the lease over from anna: she has gone home")
     finally:

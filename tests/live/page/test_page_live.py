@@ -61,8 +61,9 @@ def test_what_the_page_says_is_what_the_daemon_says(chromium: Browser, readonly:
         assert seen.text("#target") == f"{state['target_n']:.1f} N"
         assert seen.text("#rig") == daemon.settings.rig
         assert text in seen.text("#event-list")
-        for words in (*state["warnings"], "nobody holds it"):
-            assert words in seen.text("#rows")
+        assert "nobody holds it" in seen.text("#rows")
+        for words in state["warnings"]:
+            assert words in seen.text("#record-rows")
         assert seen.run("document.querySelector('#commands').hidden")
 
 
@@ -89,39 +90,6 @@ def test_both_themes_are_the_readers_choice(chromium: Browser, readonly: Server)
         seen.page.close()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1920, 1080), (1024, 768), (820, 1180)])
-def test_nothing_is_cut_off_or_overlaps(chromium: Browser, readonly: Server, width: int, height: int) -> None:
-    with view(chromium, readonly, width, height) as seen:
-        for node, text in (("#mode", "COMPENSATING"), ("#mode", "LOOP STOPPED"), ("#vertical", "-299.97")):
-            inner, outer = seen.run(
-                f"""(() => {{
-                const node = document.querySelector("{node}"), said = node.textContent;
-                node.textContent = "{text}";
-                const range = document.createRange(), box = node.closest("header > *");
-                range.selectNodeContents(box);
-                const {{ left, right }} = range.getBoundingClientRect(), around = box.getBoundingClientRect();
-                node.textContent = said;
-                return [[left, right], [around.left, around.right]];
-                }})()"""
-            )
-            assert outer[0] <= inner[0], text
-            assert inner[1] <= outer[1], text
-        assert seen.run("document.documentElement.scrollWidth") <= width
-        boxes = seen.run(
-            """[...document.querySelectorAll("header > *, .strip, .panel, footer:not([hidden])")].filter(
-            (node) => node.checkVisibility()).map((node) => {
-            const box = node.getBoundingClientRect();
-            return [box.left, box.top, box.right, box.bottom];
-            })"""
-        )
-        for i, a in enumerate(boxes):
-            assert a[2] - a[0] > 60
-            assert a[3] - a[1] > 30
-            for b in boxes[:i]:
-                apart = a[2] <= b[0] + 1 or b[2] <= a[0] + 1 or a[3] <= b[1] + 1 or b[3] <= a[1] + 1
-                assert apart, (a, b)
-
-
 @pytest.fixture
 def own() -> Iterator[Daemon]:
     yield from running()
@@ -134,6 +102,9 @@ def test_the_page_survives_a_killed_gateway(chromium: Browser, own: Daemon) -> N
         seen.until("rigctl.stale")
         assert seen.text("#stale-what").startswith("NO DATA FOR ")
         assert own.endpoint in seen.text("#stale-why")
+        seen.until("document.querySelector('#stale-why').textContent.includes('HOLD')")  # whether it works
+        assert seen.text("#entry") == "KEEP OUT"
+        assert float(seen.run("getComputedStyle(document.querySelector('#next')).opacity")) == 1.0  # instructions live
         assert float(seen.run("getComputedStyle(document.querySelector('main')).opacity")) < 0.5
         before, draws = seen.run("rigctl.store.newestMs"), seen.run("rigctl.draws")
         own.start_gateway()

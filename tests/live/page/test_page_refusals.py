@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 from starlette.datastructures import Headers
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
@@ -21,6 +21,7 @@ from tests.builders import daemons
 from tests.builders.miniature import Daemon, free_port
 from tests.builders.pages import Server, serving
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 COMMANDS = [
     ("lease", {"act": "take"}),
@@ -86,7 +87,34 @@ def test_the_stream_is_for_our_own_page_alone(readonly: Server, origin: Any) -> 
     with pytest.raises(InvalidStatus), connect(f"ws://127.0.0.1:{readonly.port}/stream", origin=origin):
         pass
     with connect(f"ws://127.0.0.1:{readonly.port}/stream", origin=Origin(readonly.base)) as stream:
-        assert '"hello"' in str(stream.recv(timeout=20))
+        assert '"hello"' in str(stream.recv(timeout=patience_s()))
+
+
+NO_REQUESTS = {
+    "text that is not UTF-8": (b'{"window": "\xff"}', True), "bytes": (b"\xff\xfe", False),
+    "a window that is none": (b'{"window": [1]}', True), "no object": (b"7", True), "no JSON": (b"{", True),
+    "deep": (b"[" * 4000, True), "a large number": (b'{"window": 1e999}', True), "empty": (b"", True),
+}  # fmt: skip
+
+
+def test_what_a_browser_sends_on_the_stream_ends_in_no_traceback(daemon: Daemon) -> None:
+    """Text that is not UTF-8 ends its own stream (RFC 6455, 8.1); the server has nothing on standard error."""
+    with serving(daemon.endpoint) as server:
+        where, own = f"ws://127.0.0.1:{server.port}/stream", Origin(server.base)
+        for what, (data, text) in NO_REQUESTS.items():
+            with connect(where, origin=own) as stream:
+                stream.recv(timeout=patience_s())
+                stream.send(data, text=text)
+                if what == "text that is not UTF-8":
+                    with pytest.raises(ConnectionClosed):
+                        while True:
+                            stream.recv(timeout=patience_s())
+                    continue
+                stream.send('{"window": 1}')
+                while not isinstance(stream.recv(timeout=patience_s()), bytes):
+                    pass
+        assert server.process.poll() is None
+        assert server.end() == (0, "")
 
 
 def test_every_answer_forbids_what_does_not_come_from_here(readonly: Server) -> None:
@@ -102,9 +130,9 @@ def test_every_answer_forbids_what_does_not_come_from_here(readonly: Server) -> 
 @pytest.mark.parametrize(
     ("what", "body", "said"),
     [
-        ("command", {"verb": "tare"}, "expected arm"),
-        ("command", {"verb": "arm"}, "take the lease first"),
-        ("command", {"verb": "arm", "value": 3}, "expected with target alone"),
+        ("command", {"verb": "tare"}, "expected hold, release"),
+        ("command", {"verb": "arm", "value": 3}, "expected with target and carry alone"),
+        ("command", {"verb": "carry"}, "found no value"),
         ("command", {"verb": "target"}, "found no value"),
         ("command", {"verb": "arm", "force": True}, "unknown field"),
         ("command", {}, "missing required field"),
@@ -123,7 +151,7 @@ def test_what_is_no_command_is_refused_in_words(commanding: Server, what: str, b
 def page(*options: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "rigctl", "page", *options],
-        capture_output=True, text=True, timeout=60, check=False, cwd=ROOT, env={**os.environ},
+        capture_output=True, text=True, timeout=patience_s(), check=False, cwd=ROOT, env={**os.environ},
     )  # fmt: skip
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import socket
 import stat
 import subprocess
 import sys
@@ -14,24 +15,27 @@ import pytest
 from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Verb, command_slot
+from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.ipc import output_file, runtime_folder, writers
 from rigctl.ipc.runtime_folder import BASE, FolderError, Runtime
 from rigctl.ipc.trusted_folders import trusted_folders
 from rigctl.recorder.audit_log import AuditLog
-from rigctl.wire.run_keys import OPERATOR_KEY, PUBLIC_KEY
+from rigctl.wire.public_file import PUBLIC
 from tests.builders.daemons import name_of, rig_file
 from tests.builders.intruder import NOBODY, let_others_in
-from tests.builders.miniature import PATIENCE_S, Daemon, until
+from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 VICTIMS = ("records", "commands", "active.json", "lock", "calibration.json", "lease.json", "gateway.cursor")
-PROCESSES = ("rigctl.recorder", "rigctl.control", "rigctl.hold", "rigctl.gateway.gateway_process")
+OPERATORS_GROUP = 4322
+PROCESSES = ("rigctl.recorder", "rigctl.control", "rigctl.gateway.gateway_process")
 
 
 def as_nobody(*command: str) -> subprocess.CompletedProcess[str]:
     become = ("setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups")
-    return subprocess.run([*become, *command], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
+    return subprocess.run([*become, *command], capture_output=True, text=True, timeout=patience_s(), check=False)
 
 
 @pytest.fixture
@@ -55,7 +59,7 @@ def test_a_prepared_folder_is_refused_and_no_file_behind_its_links_is_touched(
     assert made.returncode == 0, made.stderr
     done = subprocess.run(
         [sys.executable, "-m", "rigctl", "run", str(file)], cwd=ROOT, capture_output=True, text=True,
-        timeout=PATIENCE_S, check=False,
+        timeout=patience_s(), check=False,
     )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
@@ -81,7 +85,7 @@ def test_no_process_of_the_daemon_works_in_another_users_folder(tmp_path: pathli
             folder.symlink_to(his)
         done = subprocess.run(
             [sys.executable, "-m", module, str(folder)], cwd=ROOT, capture_output=True, text=True,
-            stdin=subprocess.DEVNULL, timeout=PATIENCE_S, check=False,
+            stdin=subprocess.DEVNULL, timeout=patience_s(), check=False,
         )  # fmt: skip
         assert done.returncode != 0
         assert said in done.stderr
@@ -152,15 +156,23 @@ def service(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     return runtime
 
 
-def test_the_services_folder_lets_its_group_read_and_everyone_verify(service: Runtime) -> None:
+def test_the_services_folder_lets_its_group_read_and_everyone_find_the_rig(
+    service: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
     service.write_json("active.json", {"pid": 1})
-    service.write_json(PUBLIC_KEY, {"key": "public"}, service.public_mode)
-    service.write_json(OPERATOR_KEY, {"key": "secret"}, 0o600)
+    service.write_json(PUBLIC, {"rig": "paper_rig"}, service.public_mode)
+    service.write_json(IN_FORCE, {"id": "secret"}, 0o600)
+    monkeypatch.chdir(service.gateway_socket.parent)  # its path may be too long for a socket
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(service.gateway_socket.name)
+    monkeypatch.setattr(writers, "group_id", lambda _name: OPERATORS_GROUP)
+    service.let_operators_connect()
     assert stat.S_IMODE(service.directory.stat().st_mode) == 0o751
     assert service.lost() == ""
     folder = service.directory
     for path in folder.rglob("*"):
-        os.chown(path, -1, 4321)
+        if path != service.gateway_socket:
+            os.chown(path, -1, 4321)
     os.chown(folder, -1, 4321)
 
     def may(access: str, path: pathlib.Path, group: int) -> bool:
@@ -172,8 +184,11 @@ def test_the_services_folder_lets_its_group_read_and_everyone_verify(service: Ru
         assert may("r", path, 4321)  # recorder
         assert not may("w", path, 4321)
         assert not may("r", path, NOBODY)
-    assert may("r", service.place(PUBLIC_KEY), NOBODY)
-    assert not may("r", service.place(OPERATOR_KEY), 4321)
+    assert may("r", service.place(PUBLIC), NOBODY)
+    assert not may("r", service.place(IN_FORCE), 4321)
+    assert may("w", service.gateway_socket, OPERATORS_GROUP)
+    for group in (4321, NOBODY):
+        assert not may("w", service.gateway_socket, group)
     assert not may("r", folder, NOBODY)
     assert not may("w", folder, 4321)
 

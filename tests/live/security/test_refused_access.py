@@ -10,7 +10,6 @@ import pathlib
 import socket
 import ssl
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 import zenoh
@@ -19,34 +18,18 @@ from rigctl.client.connection import NoDaemonError
 from rigctl.identity import credentials
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.roles import Role
-from rigctl.ipc.notes import note_message
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
 from tests.builders.certified import CertifiedDaemon, certified
-from tests.builders.miniature import until
+from tests.builders.refusals import Refused
+from tests.builders.waiting import patience_s, until
 
 KEYS = Keys("paper_rig")
-LIMIT_S = 10.0
 
 
 @pytest.fixture
 def own() -> Iterator[CertifiedDaemon]:
     yield from certified()
-
-
-class Refused:
-    """The notes of refusals of one daemon."""
-
-    def __init__(self, daemon: CertifiedDaemon) -> None:
-        self._reader = daemon.runtime.notes.reader(from_start=True)
-        self.found: list[dict[str, Any]] = []
-
-    def read(self) -> list[str]:
-        self.found += [note_message(note, 0)[1] for note in self._reader.read()]
-        return [one["text"] for one in self.found if one["kind"].endswith("_REFUSED")]
-
-    def line(self, words: str) -> str:
-        return str(until(lambda: next((one for one in self.read() if words in one), None), f"the line: {words}"))
 
 
 def forge(query: zenoh.Query) -> None:
@@ -71,7 +54,7 @@ def test_each_message_that_a_viewer_may_not_send_is_one_line_with_who_what_and_f
         refused.line(words)
     flood = [f"query of {hers.command('hold')}", f"put of {KEYS.state}"]
     for _ in range(50):
-        assert list(session.get(hers.command("hold"), timeout=LIMIT_S)) == []
+        assert list(session.get(hers.command("hold"), timeout=patience_s())) == []
         session.put(KEYS.state, b"forged")
     for words in flood + single:
         line = refused.line(words)
@@ -131,7 +114,7 @@ def test_each_connection_that_tls_refuses_is_one_line_with_the_reason(
     anonymous = ssl.create_default_context(cafile=str(own.keys.folder.path / "authority.pem"))
     with (
         contextlib.suppress(OSError),
-        socket.create_connection((host, int(port)), LIMIT_S) as connection,
+        socket.create_connection((host, int(port)), patience_s()) as connection,
         anonymous.wrap_socket(connection, server_hostname=host) as secure,
     ):
         secure.recv(1)
@@ -146,7 +129,7 @@ def test_what_people_may_do_leaves_no_such_line(own: CertifiedDaemon) -> None:
         states, samples, events = client.follow(client.keys.state), client.samples(past=True), client.events(past=True)
         assert client.take_lease("max")["accepted"]
         assert client.command("target", "max", 300.0)["accepted"]
-        assert states.read(LIMIT_S) is not None
+        assert states.read(patience_s()) is not None
         samples.read(0.1)
         events.read(0.1)
         client.active()
@@ -175,6 +158,6 @@ def test_a_revoked_person_is_on_record_with_each_kind_of_message(own: CertifiedD
     refused = Refused(own)
     session = open_client(own.endpoint, credentials.read(own.key("kim")))
     key = Keys("paper_rig", "kim").command("hold")
-    assert list(session.get(key, payload=json.dumps({"operator": "kim"}).encode(), timeout=LIMIT_S)) == []
+    assert list(session.get(key, payload=json.dumps({"operator": "kim"}).encode(), timeout=patience_s())) == []
     assert "by kim (certificate kim." in refused.line(f"query of {key}")
     close(session)

@@ -14,6 +14,7 @@ import pytest
 from rigctl.devices import objects as od
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -55,17 +56,19 @@ def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before
         assert found["emergency stop: released"]["ok"]
         assert found["emergency stop: seen"]["ok"]
         press_e_stop(rig, 1)
-        daemons.wait_for(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
+        until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
         assert "cause still present: E_STOP" in rig.refused("reset")
         code, found = doctor(rig)
         assert code == 1
         assert found["emergency stop: released"]["severity"] == "fails"
         press_e_stop(rig, 0)
-        daemons.wait_for(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
-        daemons.wait_for(lambda: daemons.mode(rig.file) == "DISARMED", log=rig.log)
-        daemons.wait_for(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
+        until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
+        until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
+        assert daemons.mode(rig.file) == "DISARMED"  # the drive's own fault: a whole arming follows
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
+        rig.do("arm")
+        rig.do("tension", "--wait")
 
 
 def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_says_the_same(
@@ -97,5 +100,5 @@ def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_say
         assert found["rig file"]["ok"]
         assert "rigctl tare" in found["tare: in force"]["fix"]
         rig.do("tare")  # tare removes one finding and leaves the others
-        said = daemons.wait_for(lambda: (text := rig.refused("arm")) and "tare" not in text and text, log=rig.log)
+        said = until(lambda: (text := rig.refused("arm")) and "tare" not in text and text, log=rig.log)
         assert "no calibration" in said

@@ -26,6 +26,7 @@ LOOP: dict[str, Any] = {
 OTHER = {"lateness_us": LATE, "wakeups": 30_000, "later_than_a_period": 1}
 
 
+@pytest.mark.alone
 def test_the_loop_is_measured_in_turn_with_cyclictest_and_nothing_is_left(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path, PATIENT)
     before = sorted(tmp_path.iterdir())
@@ -42,6 +43,7 @@ def test_the_loop_is_measured_in_turn_with_cyclictest_and_nothing_is_left(tmp_pa
     assert [rig for rig, _ in runtime.daemons() if rig.startswith("bench")] == []
 
 
+@pytest.mark.alone
 def test_beside_a_daemon_nothing_is_measured(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path, PATIENT)
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, tmp_path / "daemon.log") as daemon:

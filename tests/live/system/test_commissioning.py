@@ -17,11 +17,13 @@ import pytest
 
 from rigctl.client.connection import Client
 from rigctl.config import rig_file as config
+from rigctl.control.frequency_trial import LONGEST_S
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 from tests.live.system.test_daemon import PATIENT, Running
 
 IDENTIFICATIONS = 10  # a busy host pauses the loop in half of them
@@ -69,7 +71,7 @@ def running(file: pathlib.Path) -> Iterator[Running]:
 def moving(file: pathlib.Path) -> Iterator[Client]:
     """A client, once the stroke moves: steps of an identification last a quarter of a second."""
     with Client(daemons.endpoint(file), daemons.name_of(file)) as client:
-        daemons.wait_for(lambda: client.state()["command_mm_s"] != 0.0)
+        until(lambda: client.state()["command_mm_s"] != 0.0)
         yield client
 
 
@@ -84,6 +86,7 @@ def identified(running: Running, file: pathlib.Path) -> dict[str, Any]:
     return answer
 
 
+@pytest.mark.alone
 def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Path) -> None:
     file = running.file
     assert running.do("tare", "--operator", "kim").startswith("TARE: zero +0.000 -> ")
@@ -131,7 +134,7 @@ def test_hold_cuts_an_identification_short(running: Running) -> None:
     )  # fmt: skip
     with moving(running.file) as client:
         assert client.command("hold", "kim")["accepted"]
-    said, complained = child.communicate(timeout=20)
+    said, complained = child.communicate(timeout=patience_s())
     assert (child.returncode, said) == (1, "")
     assert complained.startswith("rigctl: IDENTIFY refused: cut short")
     assert daemons.state(running.file)["command_mm_s"] == 0.0
@@ -148,7 +151,7 @@ def test_the_operator_who_interrupts_an_identification_ends_it(running: Running)
     )  # fmt: skip
     with moving(running.file):
         child.send_signal(signal.SIGINT)
-    said, complained = child.communicate(timeout=20)
+    said, complained = child.communicate(timeout=patience_s())
     assert (child.returncode, said) == (1, "")
     assert complained == "rigctl: interrupted; identify was ended, the stroke is held\n"
     assert daemons.state(running.file)["command_mm_s"] == 0.0
@@ -168,9 +171,9 @@ def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(r
     subprocess.run(
         ["kill", "-9", str(daemons.process_with("rigctl.gateway.gateway_process", settings.rig))], check=True
     )
-    daemons.wait_for(lambda: "the tare by kim" in running.log.read_text(), log=running.log)
+    until(lambda: "the tare by kim" in running.log.read_text(), log=running.log)
     assert "left over from before, is in force" in running.log.read_text()
-    daemons.wait_for(lambda: daemons.state(running.file)["calibration"]["zero_n"] == 1.5)
+    until(lambda: daemons.state(running.file)["calibration"]["zero_n"] == 1.5)
     assert daemons.state(running.file)["tension_n"] == pytest.approx(-1.5, abs=0.3)
     assert [entry.what for entry in entries(running.file)] == ["tare", "calibrate", "tare"]
 
@@ -206,8 +209,8 @@ def test_the_ledger_holds_for_the_next_start_and_for_a_control_process_that_come
         assert daemons.state(file)["tension_n"] == pytest.approx(0.0, abs=0.3)
         control = Runtime.of(daemons.name_of(file)).read_json("control.json")["pid"]
         subprocess.run(["kill", "-9", str(control)], check=True)
-        daemons.wait_for(lambda: log.read_text().count("loop started") == 2, log=log)
-        daemons.wait_for(lambda: daemons.mode(file) == "DISARMED", log=log)
+        until(lambda: log.read_text().count("loop started") == 2, log=log)
+        until(lambda: daemons.mode(file) == "DISARMED", log=log)
         assert daemons.state(file)["tension_n"] == pytest.approx(0.0, abs=0.3)
 
 
@@ -217,7 +220,7 @@ def test_a_due_date_that_passes_while_the_daemon_runs_blocks_arming(tmp_path: pa
         check_of(file, age_ns=DAY_NS - 25 * 10**9)
         with daemons.daemon(file, tmp_path / "daemon.log"):
             assert daemons.rigctl("arm", file=file).returncode == 0
-            daemons.wait_for(lambda: daemons.state(file)["calibration"]["overdue"], 40.0)
+            until(lambda: daemons.state(file)["calibration"]["overdue"])
             assert daemons.mode(file) == "HOLD"  # the hold stays in force
             assert daemons.rigctl("disarm", file=file).returncode == 0
             refused = daemons.rigctl("arm", file=file)
@@ -225,6 +228,8 @@ def test_a_due_date_that_passes_while_the_daemon_runs_blocks_arming(tmp_path: pa
     assert "rigctl calibrate" in refused.stderr
 
 
+@pytest.mark.alone
+@pytest.mark.long
 def test_a_frequency_response_is_on_record_with_a_picture(running: Running, tmp_path: pathlib.Path) -> None:
     picture = tmp_path / "response.png"
     refused = running.refused("identify", "--response")
@@ -235,7 +240,7 @@ def test_a_frequency_response_is_on_record_with_a_picture(running: Running, tmp_
     running.do("tension", "--wait")
     words = ("identify", "--response", "--in", "compensating", "--plot", str(picture))
     for _ in range(RESPONSES):
-        answer = daemons.rigctl(*words, file=running.file)
+        answer = daemons.rigctl(*words, file=running.file, lasts_s=LONGEST_S)
         if answer.returncode == 0:
             break
         assert "had the loop skip" in answer.stderr, answer.stderr
@@ -249,6 +254,7 @@ def test_a_frequency_response_is_on_record_with_a_picture(running: Running, tmp_
     assert daemons.state(running.file)["mode"] == "COMPENSATING"
 
 
+@pytest.mark.simulated_time
 @pytest.mark.parametrize(
     ("text", "why"),
     [("{", "no calibration ledger"), ('{"rig": "another", "entries": []}', "found the ledger of 'another'")],
@@ -262,6 +268,7 @@ def test_a_ledger_that_cannot_be_believed_is_refused_at_the_start(tmp_path: path
     assert answer.stderr.count("\n") == 1
 
 
+@pytest.mark.simulated_time
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -16,6 +16,7 @@ import pytest
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -40,7 +41,7 @@ def tensioned(running: Running) -> tuple[float, float]:
 
 def ended(running: Running, code: int, before: tuple[float, float]) -> str:
     """Check that the daemon ended with this code, with no process, traceback or motion left; returns its output."""
-    assert running.daemon.wait(daemons.STOP_LIMIT_S) == code, running.log.read_text()
+    assert running.daemon.wait(patience_s()) == code, running.log.read_text()
     said = running.log.read_text()
     assert "Traceback" not in said
     after = running.truth()
@@ -49,7 +50,7 @@ def ended(running: Running, code: int, before: tuple[float, float]) -> str:
     return said
 
 
-@pytest.mark.parametrize("killed", ["", "gateway", "control"])
+@pytest.mark.parametrize("killed", ["gateway", *(pytest.param(one, marks=pytest.mark.long) for one in ("", "control"))])
 def test_a_runtime_folder_that_is_deleted_ends_the_daemon_with_the_stroke_held(running: Running, killed: str) -> None:
     before = tensioned(running)
     runtime = Runtime.of(daemons.name_of(running.file))
@@ -72,7 +73,7 @@ def test_sighup_ends_it_like_sigterm(running: Running) -> None:
     running.daemon.send_signal(signal.SIGHUP)
     assert "COMPENSATING -> HOLD: daemon stopping" in ended(running, 0, before)
     running.rig.send_signal(signal.SIGHUP)
-    assert running.rig.wait(daemons.STOP_LIMIT_S) == 0
+    assert running.rig.wait(patience_s()) == 0
 
 
 def test_a_lease_file_with_a_wrong_byte_costs_the_lease_and_nothing_else(running: Running) -> None:
@@ -83,7 +84,7 @@ def test_a_lease_file_with_a_wrong_byte_costs_the_lease_and_nothing_else(running
     whole = file.read_bytes()
     file.write_bytes(whole[:20] + b"\xff" + whole[21:])
     os.kill(gateway, signal.SIGKILL)
-    daemons.wait_for(lambda: daemons.state(running.file), log=running.log)
+    until(lambda: daemons.state(running.file), log=running.log)
     state = daemons.state(running.file)
     assert (state["mode"], state["lease"]) == ("HOLD", None)
     assert running.log.read_text().count("gateway process") == 1
@@ -95,7 +96,7 @@ def test_a_damaged_active_json_is_written_anew_for_a_process_that_comes_back(run
     file = runtime.directory / "active.json"
     file.write_bytes(file.read_bytes().replace(b'"k_tension":', b'"k_tension":9', 1))
     os.kill(daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory)), signal.SIGKILL)
-    daemons.wait_for(lambda: daemons.state(running.file), log=running.log)
+    until(lambda: daemons.state(running.file), log=running.log)
     assert "active.json in the runtime folder was damaged" in running.log.read_text()
     assert runtime.read_json("active.json") == before
 
@@ -112,25 +113,28 @@ def test_the_loop_is_the_last_that_the_kernel_ends_for_want_of_memory(running: R
     assert limits == [1 << 30] * 3 + [resource.prlimit(running.daemon.pid, resource.RLIMIT_DATA)[0]]
 
 
-@pytest.mark.parametrize("limit", [6, 8, 10, 16, 24, 48])
+@pytest.mark.simulated_time
 @pytest.mark.parametrize(
-    "words",
+    ("words", "limit"),
     [
-        ("rigctl", "run", str(daemons.PAPER)),
-        ("rigctl", "status"),
-        ("rigctl", "demo"),
-        ("rigctl", "bench", str(daemons.PAPER)),
-        ("hil", "serve", str(daemons.PAPER)),
+        *((("rigctl", "run", str(daemons.PAPER)), limit) for limit in (6, 16, 48)),
+        (("rigctl", "status"), 8),
+        (("rigctl", "demo"), 24),
+        (("rigctl", "bench", str(daemons.PAPER)), 10),
+        (("hil", "serve", str(daemons.PAPER)), 48),
     ],
 )
 def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: int) -> None:
     command = f"ulimit -n {limit}; exec {sys.executable} -m {' '.join(words)}"
-    answer = subprocess.run(["bash", "-c", command], capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
+    answer = subprocess.run(
+        ["bash", "-c", command], capture_output=True, text=True, cwd=ROOT, timeout=patience_s(), check=False
+    )
     assert answer.returncode == 1
     assert f"found a limit of {limit} open files, expected 64 or more" in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 
+@pytest.mark.simulated_time
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, for a mount of its own")
 @pytest.mark.parametrize(
     ("prepare", "said"),
@@ -148,15 +152,16 @@ def test_a_runtime_folder_that_cannot_be_had_is_one_line(tmp_path: pathlib.Path,
     prepare = prepare.replace("NAME", daemons.name_of(file))
     command = f"mount -t tmpfs tmpfs /dev/shm; {prepare}; exec {sys.executable} -m rigctl run {file}"
     command_line = ["unshare", "-m", "bash", "-c", command]
-    answer = subprocess.run(command_line, capture_output=True, text=True, cwd=ROOT, timeout=120, check=False)
+    answer = subprocess.run(command_line, capture_output=True, text=True, cwd=ROOT, timeout=patience_s(), check=False)
     assert answer.returncode == 1, answer.stderr
     assert said in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 
+@pytest.mark.simulated_time
 def test_without_a_home_or_a_runtime_folder_of_the_user_commands_are_as_ever() -> None:
     for words, code in ((("check", str(daemons.PAPER)), 0), (("status", "--connect", "tcp/127.0.0.1:1"), 1)):
         command = ["env", "-i", sys.executable, "-m", "rigctl", *words]
-        answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=60, check=False)
+        answer = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=patience_s(), check=False)
         assert answer.returncode == code, answer.stderr
         assert answer.stderr.count("\n") == code

@@ -12,6 +12,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc import ledger
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders import daemons
+from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -45,7 +46,7 @@ def test_gains_change_while_it_compensates_and_outlive_the_control_process(runni
     wanted = yaml.safe_load(pathlib.Path(softer).read_text())["gains"]
     assert (written.what, written.operator, written.after) == ("gains", "kim", wanted)
     assert f"{written.before['k_tension']:.4g} -> {wanted['k_tension']:.4g}" in said
-    daemons.wait_for(lambda: "softer.gains.yaml" in daemons.state(file)["design"])  # the state is renewed at intervals
+    until(lambda: "softer.gains.yaml" in daemons.state(file)["design"])  # the state is renewed at intervals
     assert daemons.mode(file) == "COMPENSATING"
     runtime = Runtime.of(daemons.name_of(file))
     assert runtime.read_json(ACTIVE)["design"]["gains"] == wanted

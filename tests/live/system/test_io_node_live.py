@@ -12,6 +12,7 @@ import pytest
 from rigctl.devices import objects as od
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import until
 from tests.live.system.test_arming import doctor, running
 from tests.live.system.test_daemon import Running
 
@@ -52,9 +53,9 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         _, found = doctor(rig)
         assert found[RELEASED]["ok"] and found[SEEN]["ok"]
         open_contact(rig, 1)
-        daemons.wait_for(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
+        until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
-        said = daemons.wait_for(lambda: (text := rig.do("status")) and "e-stop" in text and text, log=rig.log)
+        said = until(lambda: (text := rig.do("status")) and "e-stop" in text and text, log=rig.log)
         assert "emergency stop pressed (I/O node's input)" in said
         assert "emergency stop is pressed (I/O node's input)" in said
         assert "drive's input" not in said
@@ -64,13 +65,15 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         assert found["emergency stop: released"]["ok"]  # the drive's contact
         assert "cause still present: E_STOP" in rig.refused("reset")
         open_contact(rig, 0)
-        daemons.wait_for(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
-        daemons.wait_for(lambda: daemons.mode(rig.file) == "DISARMED", log=rig.log)
+        until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
+        until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
+        assert daemons.mode(rig.file) == "HOLD"  # the drive has no fault of its own
+        rig.do("disarm")
         nmt(rig, 0x02)  # another master stops the node
         unseen = "emergency stop's input on the I/O node is not seen"
-        daemons.wait_for(lambda: unseen in rig.do("status"), log=rig.log)
+        until(lambda: unseen in rig.do("status"), log=rig.log)
         assert unseen in rig.refused("arm")
         assert doctor(rig)[1][SEEN]["severity"] == "fails"
         nmt(rig, 0x01)
-        daemons.wait_for(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
+        until(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)

@@ -19,6 +19,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import chain
 from tests.builders import daemons
+from tests.builders.waiting import patience_s, until
 from tests.live.system.test_daemon import PATIENT, Running
 
 
@@ -66,12 +67,12 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     slow.do("tension", "--wait", "--operator", "anna")
     assert "anna holds the lease" in slow.refused("disarm", "--operator", "kim")
     os.kill(recorder_of(file), signal.SIGKILL)
-    daemons.wait_for(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
+    until(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
                      in slow.log.read_text(), log=slow.log)  # fmt: skip
     slow.rig.send_signal(signal.SIGSTOP)
-    daemons.wait_for(lambda: daemons.state(file).get("mode") == "FAULT", log=slow.log)
+    until(lambda: daemons.state(file).get("mode") == "FAULT", log=slow.log)
     slow.rig.send_signal(signal.SIGCONT)
-    told = daemons.wait_for(lambda: (s := daemons.state(file)).get("trip_dump") and s, log=slow.log)
+    told = until(lambda: (s := daemons.state(file)).get("trip_dump") and s, log=slow.log)
     assert told["trip_dump"] == json.loads(slow.do("status", "--json"))["trip_dump"]
     assert "trip dump" in slow.do("status")
     head = told["audit"]["head"]
@@ -79,13 +80,17 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     assert (answer.returncode, answer.stderr) == (0, "")
     assert runtime.read_json(RECORDED)["failures"] == 0
     slow.daemon.send_signal(signal.SIGTERM)
-    assert slow.daemon.wait(daemons.STOP_LIMIT_S) == 0
+    ended = slow.daemon.wait(patience_s())
+    # A drive that is not heard for 0.2 s is left to its own supervision: then its brake is not seen to close.
+    assert ended == ("the brake was not seen to close" in slow.log.read_text())
 
     found = entries(file)
     what = [entry.what for entry in found]
     assert what.count("daemon_started") == 1
-    assert what[-2:] == ["daemon_stopped", "recorder_stopped"]
-    assert "brake" in found[-2].text or "stopped in" in found[-2].text
+    # The counts of repeated lines are written when the recorder ends, between the two.
+    *_, stopped, ended_last = (entry for entry in found if entry.what != "repeated")
+    assert (stopped.what, ended_last.what, what[-1]) == ("daemon_stopped", "recorder_stopped", "recorder_stopped")
+    assert "brake" in stopped.text or "stopped in" in stopped.text
     (designed,) = [entry for entry in found if entry.what == "daemon_designed"]
     assert designed.details["ms_max"] < 1.6
     assert ("process_ended", "recorder") in [(entry.what, entry.details.get("process")) for entry in found]
@@ -100,12 +105,17 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
         "DISARMED -> HOLD: drive enabled", "HOLD -> TENSIONING: tension commanded"
     ]  # fmt: skip
     assert "trip" in what
+    killed_ns = next(entry.t_ns for entry in found if entry.details.get("process") == "recorder")
     for source in ("events", "desk", "supervision", "replies", "commands", "notes"):
         seen = [entry.seq for entry in found if entry.source == source]
         assert seen == sorted(set(seen)), source
         repeats = [entry.details for entry in found if entry.what == "repeated" and entry.details["source"] == source]
         last = max([seen[-1], *(same["up_to"] for same in repeats)])
-        assert len(seen) + sum(same["count"] for same in repeats) == last, source
+        # A killed recorder takes along the counts of repeats that it has not written yet, and nothing else.
+        by_then = max([entry.seq for entry in found if entry.source == source and entry.t_ns < killed_ns], default=0)
+        counted_then = by_then - sum(seq <= by_then for seq in seen)
+        missing = last - len(seen) - sum(same["count"] for same in repeats)
+        assert 0 <= missing <= counted_then, source
 
     (dump,) = (file.parent / "trips").iterdir()
     assert dump.name == told["trip_dump"]
@@ -134,7 +144,7 @@ def test_a_full_disk_is_told_and_the_daemon_goes_on(tmp_path: pathlib.Path) -> N
         with daemons.simulated_rig(file, tmp_path / "rig.log") as rig, daemons.daemon(file, log) as daemon:
             running = Running(file, daemon, rig, log)
             runtime = Runtime.of(daemons.name_of(file))
-            daemons.wait_for(lambda: runtime.read_json(RECORDED).get("entries"), log=log)
+            until(lambda: runtime.read_json(RECORDED).get("entries"), log=log)
             running.do("arm")
             running.do("target", "60")
             running.do("tension", "--wait")
@@ -143,21 +153,21 @@ def test_a_full_disk_is_told_and_the_daemon_goes_on(tmp_path: pathlib.Path) -> N
                 while True:
                     out_.write(b"x" * 512)
             running.do("hold")
-            daemons.wait_for(lambda: runtime.read_json(RECORDED)["failures"] > 1, log=log)
+            until(lambda: runtime.read_json(RECORDED)["failures"] > 1, log=log)
             assert "No space left" in running.do("status")
             assert daemons.mode(file) == "HOLD"
             rig.send_signal(signal.SIGSTOP)
-            daemons.wait_for(lambda: daemons.mode(file) == "FAULT", log=log)
+            until(lambda: daemons.mode(file) == "FAULT", log=log)
             rig.send_signal(signal.SIGCONT)
-            daemons.wait_for(lambda: "trip dump cannot be written" in log.read_text(), log=log)
+            until(lambda: "trip dump cannot be written" in log.read_text(), log=log)
             assert "-> FAULT" in log.read_text()
             filler.unlink()
-            daemons.wait_for(lambda: "audit log is written again" in log.read_text(), log=log)
-            daemons.wait_for(lambda: not runtime.read_json(RECORDED)["warnings"]
+            until(lambda: "audit log is written again" in log.read_text(), log=log)
+            until(lambda: not runtime.read_json(RECORDED)["warnings"]
                              or "audit" not in runtime.read_json(RECORDED)["warnings"][0], log=log)  # fmt: skip
-            daemons.wait_for(lambda: not any(missing(entries(file), runtime).values()), log=log)
+            until(lambda: not any(missing(entries(file), runtime).values()), log=log)
             daemon.send_signal(signal.SIGTERM)
-            assert daemon.wait(20) == 0
+            assert daemon.wait(patience_s()) == 0
         what = [entry.what for entry in entries(file)]
         assert "written_again" in what
         assert "lost" not in what

@@ -22,6 +22,7 @@ from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import recording
 from tests.bench.recorder import PATIENT, judged, strike
 from tests.builders import daemons
+from tests.builders.waiting import patience_s, until
 
 KILLS = 3
 
@@ -36,12 +37,12 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
         assert daemons.rigctl("target", "61.5", "--operator", "anna", file=file).returncode == 0
         struck = [strike(file, chance, 1.0) for _ in range(KILLS)]
         os.kill(daemons.process_with("rigctl.control", runtime.directory.name), signal.SIGKILL)
-        daemons.wait_for(lambda: log.read_text().count("node 4: operational") == 2, log=log)
-        told = daemons.wait_for(lambda: runtime.read_json(RECORDED).get("recording"), log=log)
+        until(lambda: log.read_text().count("node 4: operational") == 2, log=log)
+        told = until(lambda: runtime.read_json(RECORDED).get("recording"), log=log)
         assert told["records_lost"] == told["frames_lost"] == 0
         slots, given = records.read(), commands.read()
         daemon.send_signal(signal.SIGTERM)
-        assert daemon.wait(20) == 0
+        assert daemon.wait(patience_s()) == 0
 
     settings = config.load(file)
     kills = judged(settings, struck)
@@ -102,26 +103,26 @@ def test_a_full_disk_ends_the_recording_alone_and_it_comes_back_by_itself(tmp_pa
             def told() -> dict[str, object]:
                 return dict(runtime.read_json(RECORDED).get("recording") or {})
 
-            daemons.wait_for(lambda: told().get("records"), log=log)
+            until(lambda: told().get("records"), log=log)
             filler = disk / "filler"
             with filler.open("wb", buffering=0) as out, pytest.raises(OSError, match="No space left"):
                 while True:
                     out.write(b"x" * 4096)
-            daemons.wait_for(lambda: runtime.read_json(RECORDED)["warnings"], log=log)
-            daemons.wait_for(lambda: "loop is unaffected" in log.read_text(), log=log)
+            until(lambda: runtime.read_json(RECORDED)["warnings"], log=log)
+            until(lambda: "loop is unaffected" in log.read_text(), log=log)
 
             def warned() -> bool:
                 return any(text.startswith("recorder: ") for text in daemons.state(file).get("warnings", []))
 
-            daemons.wait_for(warned, log=log)  # the gateway reads the recorder's status at intervals
+            until(warned, log=log)  # the gateway reads the recorder's status at intervals
             assert daemons.mode(file) == "DISARMED"
             filler.unlink()
-            daemons.wait_for(lambda: told().get("file") and not runtime.read_json(RECORDED)["warnings"], log=log)
+            until(lambda: told().get("file") and not runtime.read_json(RECORDED)["warnings"], log=log)
             slots = records.read()
             assert np.all(np.diff(slots["seq"]) == 1)
             assert runtime.read_json(RECORDED)["failures"] >= 1
             daemon.send_signal(signal.SIGTERM)
-            assert daemon.wait(20) == 0
+            assert daemon.wait(patience_s()) == 0
         files = sorted(disk.glob("*.mcap"))
         found = recording.read(*files)
         assert found.records["seq"][0] == 1

@@ -22,28 +22,25 @@ from tests.builders.service_computer import (
     may_raise_limits,
     service_computer,
 )
+from tests.builders.waiting import patience_s
 
 RIG = "/usr/share/rigctl/config/paper_rig.yaml"
 NAME = "paper_rig"
 DAEMON, SIMULATED = f"rigctl@{NAME}.service", f"rigctl-sim@{NAME}.service"
-GATEWAY, RECORDER, HOLD = (f"rigctl-{process}@{NAME}.service" for process in ("gateway", "recorder", "hold"))
+GATEWAY, RECORDER = (f"rigctl-{process}@{NAME}.service" for process in ("gateway", "recorder"))
 PAGE = f"rigctl-page@{NAME}.service"
-USERS = {DAEMON: "rigctl", SIMULATED: "rigctl-sim", GATEWAY: "rigctl-gateway", RECORDER: "rigctl-recorder",
-         HOLD: "rigctl-hold"}  # fmt: skip
-PROCESSES = {"rigctl.control": DAEMON, "rigctl.hold": HOLD, "rigctl.gateway.gateway_process": GATEWAY,
-             "rigctl.recorder": RECORDER}  # fmt: skip
-EXPOSURE = {"rigctl": 20, "rigctl-gateway": 20, "rigctl-recorder": 20, "rigctl-hold": 20, "rigctl-sim": 20,
-            "rigctl-page": 15}  # fmt: skip
+USERS = {DAEMON: "rigctl", SIMULATED: "rigctl-sim", GATEWAY: "rigctl-gateway", RECORDER: "rigctl-recorder"}
+PROCESSES = {"rigctl.control": DAEMON, "rigctl.gateway.gateway_process": GATEWAY, "rigctl.recorder": RECORDER}
+EXPOSURE = {"rigctl": 20, "rigctl-gateway": 20, "rigctl-recorder": 20, "rigctl-sim": 20, "rigctl-page": 15}
 FOLDER = f"/run/rigctl/rigctl-{NAME}"
-WRITERS = {"commands": "rigctl-gateway", "desk": "rigctl-gateway", "notes": "rigctl-gateway", "holds": "rigctl-hold"}
+WRITERS = {"commands": "rigctl-gateway", "desk": "rigctl-gateway", "notes": "rigctl-gateway"}
 LENT = 1 << CAP_SYS_NICE | 1 << CAP_IPC_LOCK
-WITH_REAL_TIME = (DAEMON, SIMULATED, HOLD)
+WITH_REAL_TIME = (DAEMON, SIMULATED)
 OPERATOR, STRANGER = "kim", "vera"
 NEEDS = os.geteuid() == 0 and all(map(shutil.which, ("systemctl", "unshare", "nsenter", "dpkg-deb")))
 pytestmark = [
     pytest.mark.machine,
     pytest.mark.skipif(not NEEDS, reason="needs root, systemd and util-linux"),
-    pytest.mark.timeout(1800),
 ]
 
 
@@ -54,7 +51,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> list[pathlib.Path]:
         return in_order(pathlib.Path(given))
     out = tmp_path_factory.mktemp("deb")
     build = [str(ROOT / "deploy/deb"), sys.executable, str(out)]
-    subprocess.run(build, check=True, env={**os.environ, "RIGCTL_DEB_LEVEL": "1"}, timeout=1700)
+    subprocess.run(build, check=True, env={**os.environ, "RIGCTL_DEB_LEVEL": "1"}, timeout=patience_s(300.0))
     return in_order(out)
 
 
@@ -76,7 +73,7 @@ def computer(packages: list[pathlib.Path], tmp_path_factory: pytest.TempPathFact
         unpack, *others = commands_of_a_new_user()
         assert unpack.startswith("apt install ./")  # which looks for the libraries of Debian's own, here already
         made.done("dpkg", "--install", *map(made.put, packages))
-        made.lend_real_time("rigctl@.service", "rigctl-sim@.service", "rigctl-hold@.service")
+        made.lend_real_time("rigctl@.service", "rigctl-sim@.service")
         for command in others:
             made.insist(*shlex.split(command))
         assert mode(made) in ("HOLD", "FAULT")  # FAULT: a loop on a busy machine tripped since
@@ -207,8 +204,7 @@ for name in sys.argv[1:]:
 """
 
 
-@pytest.mark.parametrize("user", ["rigctl-gateway", "rigctl-recorder", "rigctl-hold", "rigctl-page", "rigctl-sim",
-                                  OPERATOR, STRANGER])  # fmt: skip
+@pytest.mark.parametrize("user", ["rigctl-gateway", "rigctl-recorder", "rigctl-page", "rigctl-sim", OPERATOR, STRANGER])
 def test_the_kernel_lets_each_ring_be_written_by_one_user_alone(computer: ServiceComputer, user: str) -> None:
     rings = computer.done("ls", f"{FOLDER}/rings").split()
     assert {*WRITERS} < {*rings}
@@ -219,18 +215,35 @@ def test_the_kernel_lets_each_ring_be_written_by_one_user_alone(computer: Servic
     assert written == {ring for ring, writer in WRITERS.items() if writer == user}
 
 
-def test_what_another_user_may_read_is_the_public_key(computer: ServiceComputer) -> None:
+def test_what_another_user_may_read_is_the_public_file(computer: ServiceComputer) -> None:
     files = computer.done("find", FOLDER, "-type", "f").split()
     read = {name for name in files if given_by(computer, STRANGER, "cat", name).returncode == 0}
     public = {
-        "gateway/public_key.json",
+        "gateway/public.json",
         "lock",
-        *(f"{name}/{name}.pid.json" for name in ("gateway", "recorder", "hold")),
+        *(f"{name}/{name}.pid.json" for name in ("gateway", "recorder")),
     }
     assert read == {f"{FOLDER}/{name}" for name in public}
     assert given_by(computer, STRANGER, "ls", "/var/lib/rigctl").returncode != 0
-    secret = f"{FOLDER}/gateway/gateway_key.json"
-    assert given_by(computer, OPERATOR, "cat", secret).returncode != 0
+    assert given_by(computer, OPERATOR, "cat", f"{FOLDER}/gateway/lease.json").returncode != 0
+    socket = f"{FOLDER}/gateway/gateway.sock"
+    assert computer.done("stat", "-c", "%a %G", socket).split() == ["660", "rigctl-operator"]
+    assert given_by(computer, OPERATOR, "test", "-w", socket).returncode == 0
+    assert given_by(computer, STRANGER, "test", "-w", socket).returncode != 0
+
+
+def test_no_service_renames_anothers_folder_and_the_gateway_reads_no_recording(computer: ServiceComputer) -> None:
+    state = "/var/lib/rigctl"
+    folders = computer.done("ls", state).split()
+    assert {"audit", "calibration", "recordings", "trips"} <= {*folders}
+    for user in ("rigctl", "rigctl-gateway", "rigctl-recorder"):
+        for name in folders:
+            moved = given_by(computer, user, "mv", f"{state}/{name}", f"{state}/{name}.moved")
+            assert moved.returncode != 0, f"{user} renames {name}"
+    assert computer.done("find", f"{state}/recordings", "-name", "*.mcap").split()
+    for name in ("recordings", "trips", "audit"):
+        assert given_by(computer, "rigctl-gateway", "ls", f"{state}/{name}").returncode != 0
+        assert given_by(computer, "rigctl", "ls", f"{state}/{name}").returncode == 0
 
 
 def test_an_operator_of_the_group_commands_and_gives_hold_on_the_local_socket(computer: ServiceComputer) -> None:
@@ -248,13 +261,12 @@ def test_another_user_reads_telemetry_and_may_hold_but_commands_nothing(computer
     assert json.loads(state.stdout)["mode"] == "DISARMED"
     refused = given_by(computer, STRANGER, "rigctl", "arm")
     assert refused.returncode == 1
-    assert "no proof of who gives it" in refused.stderr
+    assert f"this user may not open {FOLDER}/gateway/gateway.sock" in refused.stderr
     assert mode(computer) == "DISARMED"
-    computer.wait_for(lambda: any(entry["details"].get("reason") == "no_proof" for entry in audited(computer)))
     arm(computer)
     held = given_by(computer, STRANGER, "rigctl", "hold", "--json")
     assert held.returncode == 0, held.stderr
-    assert "via" not in json.loads(held.stdout)
+    assert json.loads(held.stdout)["via"] == "local socket"
 
 
 def test_systemd_finds_no_fault_and_little_exposure(computer: ServiceComputer) -> None:
@@ -289,7 +301,7 @@ def test_the_loop_has_real_time_without_being_root(computer: ServiceComputer) ->
 
 def test_settings_state_and_run_time_folder_are_where_they_belong(computer: ServiceComputer) -> None:
     modes = computer.done("stat", "-c", "%n %U %a", "/etc/rigctl", "/var/lib/rigctl", "/run/rigctl")
-    assert modes.splitlines() == ["/etc/rigctl root 755", "/var/lib/rigctl rigctl 750", "/run/rigctl rigctl 755"]
+    assert modes.splitlines() == ["/etc/rigctl root 755", "/var/lib/rigctl root 750", "/run/rigctl rigctl 755"]
     computer.done("test", "-f", "/var/lib/rigctl/audit/paper_rig.jsonl")
     computer.done("test", "-d", "/run/rigctl/rigctl-paper_rig")
     assert not computer.done("find", "/dev/shm", "-name", "rigctl*")
@@ -358,7 +370,7 @@ def test_a_daemon_that_keeps_dying_is_left_failed_until_a_person_resets_it(compu
 
 
 def test_the_processes_of_other_users_end_with_the_daemon_and_join_the_next(computer: ServiceComputer) -> None:
-    before = {unit: computer.value(unit, "MainPID") for unit in (GATEWAY, RECORDER, HOLD)}
+    before = {unit: computer.value(unit, "MainPID") for unit in (GATEWAY, RECORDER)}
     computer.done("kill", "-KILL", computer.value(DAEMON, "MainPID"))
     computer.wait_for(lambda: all(computer.value(unit, "MainPID") not in ("0", pid) for unit, pid in before.items()))
     computer.wait_for(lambda: mode(computer) == "DISARMED")

@@ -44,4 +44,6 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
     assert own.cli("alarms", "unshelve", cause).returncode == 0
     result = own.cli("alarms", "acknowledge", cause, "--operator", "kim")
     assert (result.returncode, result.stdout) == (0, f"kim acknowledges the alarm {cause}\n")
+    assert "(latched, acknowledged by kim)" in own.cli("alarms").stdout  # until the reset
+    assert own.cli("reset").returncode == 0
     assert own.cli("alarms").stdout == "no alarms\n"

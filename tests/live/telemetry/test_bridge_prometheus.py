@@ -6,6 +6,7 @@ import re
 import signal
 import subprocess
 import sys
+import urllib.error
 import urllib.request
 from collections.abc import Iterator
 
@@ -15,9 +16,10 @@ from prometheus_client.openmetrics.parser import text_fd_to_metric_families as o
 from prometheus_client.parser import text_string_to_metric_families
 
 from rigctl.control.modes import Mode
-from tests.builders.miniature import Daemon, until
+from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
 from tests.builders.promtool import promtool
+from tests.builders.waiting import patience_s, until
 
 
 class PrometheusBridge:
@@ -35,7 +37,9 @@ class PrometheusBridge:
         self.url = found[1]
 
     def text(self, accept: str = "text/plain") -> str:
-        with urllib.request.urlopen(urllib.request.Request(self.url, headers={"Accept": accept}), timeout=40) as page:
+        with urllib.request.urlopen(
+            urllib.request.Request(self.url, headers={"Accept": accept}), timeout=patience_s()
+        ) as page:
             return str(page.read().decode())
 
     def metrics(self) -> dict[str, Metric]:
@@ -100,8 +104,14 @@ def test_the_text_is_clean(served: PrometheusBridge) -> None:
     assert {family.type for family in found} >= {"gauge", "counter", "histogram", "stateset", "info"}
 
 
+def test_a_foreign_name_that_points_here_reads_nothing(served: PrometheusBridge) -> None:
+    foreign = urllib.request.Request(served.url, headers={"Host": "rig.attacker.example"})
+    with pytest.raises(urllib.error.HTTPError, match="421"):
+        urllib.request.urlopen(foreign, timeout=patience_s())
+
+
 def test_it_ends_with_a_signal(served: PrometheusBridge) -> None:
     served.process.send_signal(signal.SIGTERM)
-    _, said = served.process.communicate(timeout=40)
+    _, said = served.process.communicate(timeout=patience_s())
     assert served.process.returncode == 0
     assert "Traceback" not in said

@@ -12,7 +12,7 @@ from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.client.samples import Samples
 from rigctl.identity.roles import Role
 from tests.builders.certified import NAMES, CertifiedDaemon, certified
-from tests.builders.miniature import PATIENCE_S, until
+from tests.builders.waiting import patience_s, until
 
 REFUSED = r"of vera is not answered at tls/127\.0\.0\.1:\d+ \(absent, or not allowed\)"
 
@@ -87,7 +87,6 @@ def test_a_command_line_without_a_usable_key_is_told_in_one_line(shared: Certifi
     stale.write_text(re.sub(r"until: \S+", "until: 2020-01-01T00:00:00+00:00", shared.key("kim").read_text()))
     stale.chmod(0o600)
     for key, expected in (
-        ("", "found no key for tls/"),
         ("/nowhere/kim.pem", "/nowhere/kim.pem: cannot be read: No such file or directory"),
         (str(opened), "found mode 0644, expected 0600"),
         (str(stale), "expired on 2020-01-01: rigctl keys renew kim"),
@@ -95,12 +94,23 @@ def test_a_command_line_without_a_usable_key_is_told_in_one_line(shared: Certifi
     ):
         done = shared.cli("status", RIGCTL_KEY=key)
         assert done.returncode == 2 and expected in done.stderr and done.stderr.count("\n") == 1
+    elsewhere = "tls/127.0.0.2:7447"
+    done = shared.cli("status", "--connect", elsewhere, RIGCTL_KEY="")
+    assert done.returncode == 2 and f"found no key for {elsewhere}" in done.stderr and done.stderr.count("\n") == 1
     with pytest.raises(ChoiceError, match="found no key"):
-        Client(shared.endpoint)
+        Client(elsewhere)
+
+
+def test_the_rigs_own_user_needs_no_key(shared: CertifiedDaemon) -> None:
+    shared.client_of("vera").close()
+    done = shared.cli("status", RIGCTL_KEY="")
+    assert (done.returncode, done.stderr) == (0, "")
+    with Client(shared.endpoint) as client:
+        assert (client.rig, client.person, client.route.is_local) == ("paper_rig", "", True)
 
 
 def test_the_public_client_takes_credentials(shared: CertifiedDaemon) -> None:
-    with rigctl.client.connect(shared.endpoint, timeout_s=PATIENCE_S, credentials=shared.key("kim")) as rig:
+    with rigctl.client.connect(shared.endpoint, timeout_s=patience_s(), credentials=shared.key("kim")) as rig:
         assert rig.command("target", 299.0, operator="anyone")["operator"] == "kim"
         assert rig.return_lease("anyone")["accepted"]
         assert rig.schema()["commands"]["verbs"]["arm"]["key"] == "rigctl/paper_rig/cmd/*/arm"
@@ -108,7 +118,8 @@ def test_the_public_client_takes_credentials(shared: CertifiedDaemon) -> None:
 
 
 def received(samples: Samples, more: int) -> None:
-    """Read on until ``more`` records have come."""
+    """Read on until ``more`` records have come that do not wait here already."""
+    samples.newest()
     wanted = samples.count.received + more
 
     def come() -> bool:
@@ -164,6 +175,6 @@ def test_a_gateway_with_a_damaged_access_list_does_not_start(own: CertifiedDaemo
     until(lambda: gateway.poll() is not None, "the gateway to end")
     own.start_gateway()
     assert own.gateway is not None
-    assert own.gateway.wait(PATIENCE_S) == 1
+    assert own.gateway.wait(patience_s()) == 1
     with pytest.raises(NoDaemonError):
         Client(own.endpoint, own.settings.rig, key=own.key("kim"))

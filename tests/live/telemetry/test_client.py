@@ -13,8 +13,9 @@ import pytest
 import rigctl.client
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.record import RECORD
-from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
+from tests.builders.miniature import Daemon, free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 
 def test_samples_come_complete_as_arrays_with_units(shared: Daemon) -> None:
@@ -41,7 +42,7 @@ def test_samples_come_complete_as_arrays_with_units(shared: Daemon) -> None:
 
 def test_state_config_and_schema_are_answered_and_followed(shared: Daemon) -> None:
     with shared.rig() as rig, rig.states() as states:
-        ticks = [state["tick"] for state in (states.read(PATIENCE_S) for _ in range(10)) if state is not None]
+        ticks = [state["tick"] for state in (states.read(patience_s()) for _ in range(10)) if state is not None]
         assert len(ticks) == 10
         assert ticks == sorted(ticks)  # a loop without a processor for 20 ms gives two states of one tick
         assert ticks[-1] > ticks[0]
@@ -55,11 +56,11 @@ def test_what_happens_after_a_command_is_not_missed_by_a_late_wait(own: Daemon) 
         answer = rig.command("arm", operator="kim")
         assert answer["accepted"]
         time.sleep(0.3)  # the event is long past
-        event = rig.wait_event(kind="MODE", timeout_s=PATIENCE_S)
+        event = rig.wait_event(kind="MODE", timeout_s=patience_s())
         assert event is not None
         assert event["text"] == "DISARMED -> HOLD: drive enabled"
         rig.command("target", 222.0, operator="kim")  # the stand-in trips
-        trip = rig.wait_event(severity="error", where=lambda e: e["value"] > 400, timeout_s=PATIENCE_S)
+        trip = rig.wait_event(severity="error", where=lambda e: e["value"] > 400, timeout_s=patience_s())
         assert trip is not None
         assert (trip["kind"], trip["limit"]) == ("TRIP", 400.0)
         assert rig.wait_event(kind="TRIP", timeout_s=0.2) is None  # each event is examined once
@@ -82,20 +83,23 @@ def test_one_lease_is_shown_by_two_connections(own: Daemon) -> None:
 
 def test_events_of_a_time_without_gateway_are_published_later(own: Daemon) -> None:
     """While the gateway is away; the very first event after connecting is among those not published to this client."""
-    with own.rig() as rig, rig.events() as events:
+    with own.remote_rig() as rig, rig.events() as events:
         assert events.read(0.2) is None  # sets the client's position in the sequences
         own.kill_gateway()
+        until(lambda: not rig.alive, "the token to go")
         with own.replaced_gateway() as other:  # publishes to another listener, then ends
             other.command("arm", operator="kim")
             other.command("disarm", operator="kim")
-            assert other.wait_event(kind="MODE", timeout_s=PATIENCE_S)
+            assert other.wait_event(kind="MODE", timeout_s=patience_s())
+            assert not rig.alive
         own.start_gateway()
-        assert rig.wait_alive(PATIENCE_S)
-        rig.take_lease("lee", "kim is gone")
-        assert rig.command("target", 222.0, operator="lee")["accepted"]
+        assert rig.wait_alive(patience_s())
+        with own.rig() as commanding:
+            commanding.take_lease("lee", "kim is gone")
+            assert commanding.command("target", 222.0, operator="lee")["accepted"]
         seen = []
         while "TRIP" not in seen:
-            event = events.read(PATIENCE_S)
+            event = events.read(patience_s())
             assert event is not None
             if event["source"] == "loop":
                 seen.append(event["kind"])
@@ -109,7 +113,7 @@ def test_liveliness_follows_the_gateway(own: Daemon) -> None:
         until(lambda: not rig.alive, "the token to go")
         assert not rig.wait_alive(0.1)
         own.start_gateway()
-        assert rig.wait_alive(PATIENCE_S)
+        assert rig.wait_alive(patience_s())
         assert rig.state()["loop_alive"]
 
 
@@ -119,7 +123,7 @@ def test_connecting_waits_for_a_daemon_that_is_not_there_yet(own: Daemon) -> Non
     with pytest.raises(rigctl.client.NoDaemonError, match="no daemon answers at"):
         rigctl.client.connect(own.endpoint)
     threading.Timer(0.5, own.start_gateway).start()
-    with rigctl.client.connect(own.endpoint, timeout_s=PATIENCE_S) as rig:
+    with rigctl.client.connect(own.endpoint, timeout_s=patience_s()) as rig:
         assert rig.name == "paper_rig"
 
 
@@ -149,7 +153,7 @@ def test_closing_ends_an_iteration_in_another_thread(shared: Daemon) -> None:
     until(lambda: blocks, "a block")
     rig.close()
     for thread in threads:
-        thread.join(PATIENCE_S)
+        thread.join(patience_s())
         assert not thread.is_alive()
 
 
@@ -160,7 +164,7 @@ def test_a_newer_daemon_with_more_fields_is_read() -> None:
         with daemon.rig() as rig, rig.fast() as samples:
             assert rig.fields["gusts_mm_s"].unit == "mm/s"
             assert "tag" not in rig.fields  # of an unknown type
-            block = samples.read(PATIENCE_S)
+            block = samples.read(patience_s())
             assert block is not None
             assert np.all(block["tension_n"] == 300.0)
             assert np.array_equal(block["gusts_mm_s"], block["tick"] / 2)
@@ -170,7 +174,7 @@ def test_a_newer_daemon_with_more_fields_is_read() -> None:
 
 def test_a_daemon_replaced_by_a_newer_one_is_read_on(own: Daemon) -> None:
     with own.rig() as rig, rig.fast() as samples:
-        first = samples.read(PATIENCE_S)
+        first = samples.read(patience_s())
         assert first is not None
         assert "gusts_mm_s" not in (first.dtype.names or ())
         for process in own.processes:

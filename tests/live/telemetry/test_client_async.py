@@ -13,12 +13,13 @@ import pytest
 
 import rigctl.client
 from rigctl.client import AsyncRig, connect_async
-from tests.builders.miniature import PATIENCE_S, Daemon, stop
+from tests.builders.miniature import Daemon, stop
+from tests.builders.waiting import patience_s
 
 
 @contextlib.asynccontextmanager
 async def connected(daemon: Daemon) -> AsyncIterator[AsyncRig]:
-    async with asyncio.timeout(PATIENCE_S * 4), connect_async(daemon.endpoint, timeout_s=PATIENCE_S) as rig:
+    async with asyncio.timeout(patience_s() * 4), connect_async(daemon.endpoint, timeout_s=patience_s()) as rig:
         yield rig
 
 
@@ -32,7 +33,7 @@ def test_samples_states_events_and_commands(own: Daemon) -> None:
     async def session() -> None:
         async with connected(own) as rig:
             assert (rig.name, rig.fields["stroke_mm"].unit) == ("paper_rig", "mm")
-            assert await rig.wait_alive(PATIENCE_S)
+            assert await rig.wait_alive(patience_s())
             assert (await rig.schema())["rig"] == (await rig.config())["settings"]["rig"] == "paper_rig"
             async with rig.fast() as samples:
                 block = await anext(samples)
@@ -41,7 +42,7 @@ def test_samples_states_events_and_commands(own: Daemon) -> None:
                 assert (await anext(states))["tick"] >= block["tick"][-1]
             answer = await rig.command("arm", operator="kim")
             assert answer["accepted"]
-            event = await rig.wait_event(kind="MODE", timeout_s=PATIENCE_S)
+            event = await rig.wait_event(kind="MODE", timeout_s=patience_s())
             assert event is not None
             assert event["text"] == "DISARMED -> HOLD: drive enabled"
             assert await rig.wait_event(kind="MODE", timeout_s=0.1) is None
@@ -137,7 +138,7 @@ def test_connecting_that_is_given_up_leaves_no_session(shared: Daemon) -> None:
             async with asyncio.timeout(0.2), connect_async("tcp/127.0.0.1:1", timeout_s=0.5):
                 raise AssertionError("nobody is there")
         with pytest.raises(TimeoutError):
-            async with asyncio.timeout(0), connect_async(shared.endpoint, timeout_s=PATIENCE_S):
+            async with asyncio.timeout(0), connect_async(shared.endpoint, timeout_s=patience_s()):
                 raise AssertionError("too early")
 
     shared.rig().close()

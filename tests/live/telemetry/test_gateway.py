@@ -16,8 +16,9 @@ import zenoh
 
 from rigctl.ipc.record import RECORD
 from rigctl.wire.session import close, open_client
-from tests.builders.miniature import DESIGN, Daemon, free_port, until
+from tests.builders.miniature import DESIGN, Daemon, free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 
 @pytest.mark.smoke
@@ -137,7 +138,7 @@ def test_sigterm_ends_it_and_sigint_does_not(own: Daemon) -> None:
     with own.client() as client:
         assert client.state()["loop_alive"]
     own.gateway.terminate()
-    assert own.gateway.wait(10) == 0
+    assert own.gateway.wait(patience_s()) == 0
 
 
 def test_it_ends_with_its_parent() -> None:
@@ -187,7 +188,7 @@ def test_endpoint_it_cannot_have_is_one_line(listen: str, why: str) -> None:
 
 def run_gateway(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "rigctl.gateway.gateway_process", *arguments]
-    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=30, check=False)
+    return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=patience_s(), check=False)
 
 
 def test_folder_without_a_daemon_is_one_line() -> None:

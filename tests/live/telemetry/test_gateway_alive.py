@@ -9,16 +9,15 @@ import threading
 import time
 from collections.abc import Iterator
 
-import msgspec
 import pytest
 import zenoh
 
 from rigctl.client.liveliness import Liveliness
-from rigctl.client.trust import Trust
 from rigctl.gateway import gateway_process
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
-from tests.builders.miniature import PATIENCE_S, Daemon, until
+from tests.builders.miniature import Daemon
+from tests.builders.waiting import patience_s, until
 
 DELAY_S = 0.3
 
@@ -68,12 +67,11 @@ def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_t
     answers: list[bool] = []
 
     def take_lease() -> None:
-        session = connected(own.endpoint)
+        session = connected(f"unixsock-stream/{own.runtime.gateway_socket}")
         alive = Liveliness(session, keys.daemon)
-        if alive.wait(True, PATIENCE_S):
+        if alive.wait(True, patience_s()):
             key, body = keys.command("lease_take"), b'{"operator":"kim"}'
-            proof = msgspec.json.encode(Trust(own.settings.rig, own.endpoint).attachment(key, body))
-            query = session.get(key, payload=body, attachment=proof, timeout=PATIENCE_S)
+            query = session.get(key, payload=body, timeout=patience_s())
             answers.extend(answer.ok is not None for answer in query)
         alive.close()
         close(session)
@@ -85,6 +83,6 @@ def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_t
         client = threading.Thread(target=take_lease)
         client.start()
         gateway = gateway_process.Gateway(own.runtime, own.settings)
-        client.join(PATIENCE_S)
+        client.join(patience_s())
         gateway.close()
     assert answers == [True]

@@ -13,8 +13,9 @@ from websockets.sync.client import connect as open_socket
 from websockets.typing import Origin
 
 from rigctl.client import connect
-from tests.builders.miniature import PATIENCE_S, Daemon, running, until
+from tests.builders.miniature import Daemon, running
 from tests.builders.pages import serving
+from tests.builders.waiting import patience_s, until
 
 CLIENTS = 240
 ARENA_BYTES = 64 << 20
@@ -48,7 +49,7 @@ def test_clients_that_come_and_go_leave_no_memory_in_arenas(daemon: Daemon) -> N
 
     def come_and_go() -> None:
         for _ in range(CLIENTS // 4):
-            with connect(daemon.endpoint, daemon.settings.rig, timeout_s=PATIENCE_S) as rig:
+            with connect(daemon.endpoint, daemon.settings.rig, timeout_s=patience_s()) as rig:
                 rig.fast().read(1.0)
                 rig.connection.past_events()
 
@@ -65,7 +66,7 @@ def wait_for_page(stream: ClientConnection, silent: bool) -> None:
     """Wait until the page has had no state for a second (``silent``), or has one of now."""
 
     def is_so() -> bool:
-        message = stream.recv(PATIENCE_S)
+        message = stream.recv(patience_s())
         shown = msgspec.json.decode(message) if isinstance(message, str) else {}
         if shown.get("kind") != "state":
             return False

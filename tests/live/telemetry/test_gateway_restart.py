@@ -10,10 +10,25 @@ import time
 import pytest
 import zenoh
 
+from rigctl.client.connection import ASK_S, NoDaemonError
 from rigctl.control.modes import Verb, command_slot
 from rigctl.ipc.record import RECORD
 from rigctl.wire.block import decode
-from tests.builders.miniature import Daemon, until
+from tests.builders.miniature import Daemon
+from tests.builders.waiting import patience_s, until
+
+
+def test_a_reading_query_waits_for_the_gateway_that_starts_anew(own: Daemon) -> None:
+    """Without a link Zenoh ends a query at once."""
+    with own.client() as client:
+        assert client.state()["loop_alive"]
+        own.kill_gateway()
+        before = time.monotonic()
+        with pytest.raises(NoDaemonError):
+            client.state()
+        assert time.monotonic() - before >= ASK_S
+        own.start_gateway()
+        own.answers(client)
 
 
 def test_killed_gateway_costs_no_sample_and_no_event(own: Daemon) -> None:
@@ -116,7 +131,7 @@ def test_counter_process_counts_everything(own: Daemon) -> None:
     head = own.runtime.records.reader().head
     counter.send_signal(signal.SIGTERM)
     figures = json.loads(counter.stdout.readline())
-    assert counter.wait(10) == 0
+    assert counter.wait(patience_s()) == 0
     assert figures["received"] == figures["produced"] == figures["last_seq"] - figures["first_seq"] + 1
     assert figures["last_seq"] >= head
     assert figures["lost"] == 0
@@ -128,7 +143,7 @@ def test_counter_without_a_daemon_is_one_line(own: Daemon) -> None:
     own.client().close()
     own.kill_gateway()
     counter = own.spawn("-m", "rigctl.client.counter", "--connect", own.endpoint, stderr=subprocess.PIPE)
-    _, complaint = counter.communicate(timeout=15)
+    _, complaint = counter.communicate(timeout=patience_s())
     assert counter.returncode == 1
     assert complaint == f"no daemon answers at {own.endpoint} (absent, or not allowed)\n"
 

@@ -19,8 +19,9 @@ from rigctl.page.picture import Picture
 from rigctl.page.rig_reader import RigReader
 from tests.builders.foxglove_client import FoxgloveClient
 from tests.builders.late_link import LateLink, late_link
-from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
+from tests.builders.miniature import Daemon, free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 LATE_S = ASK_S + 1.0
 QUERIES = ("meta/schema", "cfg/active", "event/**?", "tele/state?", "tele/fast?")
@@ -58,7 +59,7 @@ def first_line(process: subprocess.Popen[str]) -> str:
 def ended(process: subprocess.Popen[str]) -> None:
     """End the command as a service manager does."""
     process.terminate()
-    _, said = process.communicate(timeout=PATIENCE_S)
+    _, said = process.communicate(timeout=patience_s())
     assert process.returncode == 0, said
     assert "Traceback" not in said
 
@@ -70,7 +71,7 @@ def test_prometheus_gets_its_metrics(own: Daemon, late: LateLink) -> None:
         assert found, line
 
         def up() -> bool:
-            with urllib.request.urlopen(found[0], timeout=PATIENCE_S) as page:
+            with urllib.request.urlopen(found[0], timeout=patience_s()) as page:
                 return b"\nrigctl_up 1.0\n" in page.read()
 
         until(up, "a state")
@@ -83,8 +84,8 @@ def test_foxglove_gets_every_channel(own: Daemon, late: LateLink) -> None:
         found = re.match(r"foxglove: ws://127\.0\.0\.1:(\d+), ", first_line(bridge))
         assert found
         with FoxgloveClient(int(found[1])) as client:
-            client.send(op="subscribeParameterUpdates", parameterNames=["rig"])
-            until(lambda: client.told("parameterValues")["parameters"], "the settings")
+            client.send(op="getParameters", parameterNames=["rig"], id="first")
+            assert client.told("parameterValues")["parameters"], "no client is served before the settings are known"
             client.subscribe("/records", 1)
             client.subscribe("/state", 2)
             assert {client.message()[0] for _ in range(200)} == {1, 2}
@@ -116,7 +117,7 @@ def test_prometheus_ends_in_one_line_where_the_next_daemon_is_of_an_unknown_vers
             process.kill()
             process.wait()
         own.spawn("-m", "tests.builders.another_version", str(own.runtime.directory), "2")
-        _, said = bridge.communicate(timeout=PATIENCE_S * 2)
+        _, said = bridge.communicate(timeout=patience_s() * 2)
     assert bridge.returncode == 1
     assert said == "rigctl: found schema version 2, this client knows 1: use that daemon's own client\n"
 
@@ -137,10 +138,10 @@ def test_the_page_shows_settings_events_and_charts(late: LateLink) -> None:
         assert not picture.is_silent
     finally:
         stop.set()
-        reader.join(PATIENCE_S)
+        reader.join(patience_s())
 
 
 def test_a_program_that_waits_for_a_daemon_is_connected(late: LateLink) -> None:
-    with connect(late.endpoint, timeout_s=PATIENCE_S) as rig:
+    with connect(late.endpoint, timeout_s=patience_s()) as rig:
         assert rig.state()["rig"] == "paper_rig"
     assert "meta/schema" not in late.unasked

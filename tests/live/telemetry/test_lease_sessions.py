@@ -19,8 +19,9 @@ from rigctl.client.stream import Stream
 from rigctl.control.modes import Verb
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.gateway.published_position import SENT_NS
-from tests.builders.miniature import Daemon, until
+from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 HOW = "to take it over: rigctl lease take --reason TEXT"
 
@@ -58,7 +59,9 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         for verb in Verb:
             if verb is Verb.HOLD:
                 continue
-            more: dict[str, Any] = {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE) else {}
+            more: dict[str, Any] = (
+                {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY) else {}
+            )
             more |= {"options": {"gain_file": "x", "name": "x"}} if verb is Verb.GAINS else {}
             options = more.pop("options", {})
             refused = kim.command(verb.name.lower(), "kim", **more, **options)
@@ -277,9 +280,8 @@ def test_hold_comes_through_a_crowd(own: Daemon) -> None:
     with own.client() as client:
         client.command("arm", "anna")
         lease, key = client.leases["anna"], client.keys.command("target")
-        body = msgspec.json.encode({"operator": "anna", "value": 111.0})  # never answered
-        proofs = [msgspec.json.encode(client.trust.attachment(key, body, lease)) for _ in range(70)]
-        replies = [client.session.get(key, payload=body, attachment=proof, timeout=5) for proof in proofs]
+        body = msgspec.json.encode({"operator": "anna", "value": 111.0, "lease": lease})  # never answered
+        replies = [client.session.get(key, payload=body, timeout=patience_s()) for _ in range(70)]
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
         answers = [msgspec.json.decode(bytes(r.err.payload)) for reply in replies for r in reply if r.err is not None]

@@ -14,8 +14,9 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.builders.miniature import PATIENCE_S, Daemon, free_port, running
+from tests.builders.miniature import Daemon, free_port, running
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 WAIVED = "waived: calibration, tare (simulated cell: there is no weight to hang on it)"
 
@@ -59,7 +60,7 @@ def test_wait_ends_when_the_rig_trips(slow: Daemon) -> None:
     assert waiting.stdout is not None
     assert waiting.stdout.readline() == "TENSION: ramping to 300 N, TENSIONING\n"
     slow.cli("target", "222")  # the stand-in trips
-    said, complaint = waiting.communicate(timeout=PATIENCE_S)
+    said, complaint = waiting.communicate(timeout=patience_s())
     assert said == ""
     assert waiting.returncode == 1
     assert complaint == "rigctl: TENSION failed: ended in FAULT TENSION_HIGH: tension 412.0 N above 400.0 N\n"
@@ -117,7 +118,7 @@ def test_status_fits_a_small_screen(shared: Daemon) -> None:
     lines = result.stdout.splitlines()
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 80
-    for word in ("DISARMED", "tension", "vertical error", "target", "stroke", "tangential", "lateness", "skipped"):
+    for word in ("DISARMED", "tension", "vertical error", "target", "stroke", "inclination", "lateness", "skipped"):
         assert word in result.stdout
     assert json.loads(shared.cli("status", "--json").stdout)["mode"] == "DISARMED"
 
@@ -133,7 +134,7 @@ def test_watch_prints_lines_through_a_restart(own: Daemon) -> None:
     own.start_gateway()
     assert any("DISARMED" in line for line in watching.stdout)
     watching.send_signal(signal.SIGINT)
-    assert watching.communicate(timeout=PATIENCE_S)[1] == ""
+    assert watching.communicate(timeout=patience_s())[1] == ""
     assert watching.returncode == 0
 
 
@@ -150,7 +151,7 @@ def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
         late.start_gateway()
         assert "DISARMED" in watching.stdout.readline()
         watching.send_signal(signal.SIGINT)
-        assert watching.communicate(timeout=PATIENCE_S)[1] == ""  # it was printed once
+        assert watching.communicate(timeout=patience_s())[1] == ""  # it was printed once
         assert watching.returncode == 0
     finally:
         watching.kill()
@@ -166,7 +167,7 @@ def test_watch_stops_waiting_at_ctrl_c() -> None:
         assert watching.stderr is not None
         assert watching.stderr.readline() == f"waiting for a daemon at {endpoint}; Ctrl-C ends\n"
         watching.send_signal(signal.SIGINT)
-        said, complaint = watching.communicate(timeout=PATIENCE_S)
+        said, complaint = watching.communicate(timeout=patience_s())
         assert said == ""
         assert "Traceback" not in complaint
         assert watching.returncode == 0
@@ -182,7 +183,7 @@ def test_watch_json_is_one_state_per_line(shared: Daemon) -> None:
     assert watching.stdout is not None
     ticks = [json.loads(watching.stdout.readline())["tick"] for _ in range(10)]
     watching.stdout.close()  # as `| head` does
-    assert watching.wait(PATIENCE_S) == 0
+    assert watching.wait(patience_s()) == 0
     assert ticks == sorted(ticks)
 
 
@@ -195,7 +196,7 @@ def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> No
     os.close(slave)
 
     def shows(words: str) -> bool:
-        end, text = time.monotonic() + PATIENCE_S, ""
+        end, text = time.monotonic() + patience_s(), ""
         while words not in text:
             assert time.monotonic() < end, text[-2000:]
             if select.select([master], [], [], 0.1)[0]:
@@ -209,7 +210,7 @@ def test_watch_screen_survives_a_restart_and_ends_with_ctrl_c(own: Daemon) -> No
         own.start_gateway()
         assert shows("D I S A R M E D")
         watching.send_signal(signal.SIGINT)
-        assert watching.wait(PATIENCE_S) == 0
+        assert watching.wait(patience_s()) == 0
     finally:
         watching.kill()
         os.close(master)

@@ -13,8 +13,9 @@ from typing import Any
 import pytest
 
 from rigctl.wire.schema import schema
-from tests.builders.miniature import PATIENCE_S, Daemon
+from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 
 def blocks(file: str, language: str) -> list[str]:
@@ -41,7 +42,7 @@ def ran(example: str, daemon: Daemon, folder: pathlib.Path) -> list[str]:
     where = {"RIGCTL_CONNECT": daemon.endpoint, "RIGCTL_RIG": daemon.settings.rig, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(
         [sys.executable, str(script)], cwd=folder, env={**os.environ, **where},
-        capture_output=True, text=True, timeout=PATIENCE_S, check=False,
+        capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
     return done.stdout.splitlines()

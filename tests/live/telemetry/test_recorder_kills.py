@@ -17,7 +17,8 @@ from rigctl.control.events import Kind
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.recorder import chain
-from tests.builders.miniature import Daemon, until
+from tests.builders.miniature import Daemon
+from tests.builders.waiting import patience_s, until
 
 KILLS = 10
 
@@ -67,7 +68,7 @@ def test_ten_kills_lose_nothing(daemon: Daemon) -> None:
     until(lambda: entries() > before, "the last recorder to write")
     Supervision(daemon.runtime.supervision.writer()).note(time.monotonic_ns(), Doing.DAEMON_STOPPED, reason="done")
     last.terminate()
-    assert last.wait(20) == 0
+    assert last.wait(patience_s()) == 0
 
     lines = log.read_bytes().splitlines(keepends=True)
     report = chain.verify(lines)

@@ -24,13 +24,13 @@ from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
 from rigctl.wire.session import SessionError, close, finish, open_client, open_router
-from tests.builders.miniature import free_port, until
+from tests.builders.miniature import free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 RIG, OWN_ZID = "paper_rig", "1a2b3c4d5e6f"
 NAMES = {"revoked": "rex", "viewer": "vera", "operator": "kim", "maintainer": "max"}
 HEADER = "| message | key | revoked | viewer | operator | maintainer |\n|---|---|---|---|---|---|\n"
-LIMIT_S = 10.0
 NOW = datetime.datetime.now(datetime.UTC)
 
 
@@ -66,7 +66,7 @@ class Network:
 
     def judged(self, role: str) -> None:
         """Return when the router has judged every message that this role has sent so far."""
-        assert list(self.people[role].get("judged", timeout=LIMIT_S)) == []
+        assert list(self.people[role].get("judged", timeout=patience_s())) == []
 
 
 def answer(query: zenoh.Query) -> None:
@@ -84,7 +84,7 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
     keys.revoke(NAMES["revoked"])
     port, socket = free_port(), f"unixsock-stream/{folder}/own.sock"
     endpoint = f"tls/127.0.0.1:{port}"
-    access = access_control(RIG, keys.folder.certificates(), NOW, OWN_ZID)
+    access = access_control(RIG, OWN_ZID, keys.folder.certificates(), NOW)
     router = open_router([f"tls/0.0.0.0:{port}", socket], [], keys.folder.gateway_credentials(), access)
     own = open_client(socket, zid=OWN_ZID)
     people = {role: open_client(endpoint, credentials.read(keys.folder.issued(name))) for role, name in NAMES.items()}
@@ -93,7 +93,9 @@ def network(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Network]:
     for key in (Keys(RIG).state, Keys(RIG).fast, Keys(RIG).events_past, Keys(RIG).schema, Keys(RIG).active):
         router.declare_queryable(key, answer)
     router.declare_subscriber("**", lambda sample: made.came.append(f"{sample.kind} {sample.key_expr}"))
-    until(lambda: list(router.get(Keys(RIG, "kim").command("hold"), timeout=LIMIT_S)), "the own session's queryable")
+    until(
+        lambda: list(router.get(Keys(RIG, "kim").command("hold"), timeout=patience_s())), "the own session's queryable"
+    )
     yield made
     for session in (*people.values(), own, router):
         close(session)
@@ -113,7 +115,7 @@ def reads(network: Network, session: zenoh.Session, key: str, role: str) -> bool
 
 
 def asks(_network: Network, session: zenoh.Session, key: str, _role: str) -> bool:
-    replies = list(session.get(key, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL))
+    replies = list(session.get(key, timeout=patience_s(), target=zenoh.QueryTarget.ALL))
     assert all(reply.ok is not None for reply in replies)
     return bool(replies)
 
@@ -147,7 +149,7 @@ def answers(network: Network, session: zenoh.Session, key: str, role: str) -> bo
     found = []
     # Not the forger: a session answers its own questions itself.
     for asker in (network.router, network.people["maintainer" if role == "operator" else "operator"]):
-        found += list(asker.get(concrete, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL,
+        found += list(asker.get(concrete, timeout=patience_s(), target=zenoh.QueryTarget.ALL,
                                 consolidation=zenoh.ConsolidationMode.NONE))  # fmt: skip
     queryable.undeclare()  # type: ignore[no-untyped-call]
     assert b"the gateway's" in [bytes(reply.ok.payload) for reply in found if reply.ok is not None]
@@ -157,7 +159,7 @@ def answers(network: Network, session: zenoh.Session, key: str, role: str) -> bo
 def declares(network: Network, session: zenoh.Session, key: str, role: str) -> bool:
     token = session.liveliness().declare_token(key)
     network.judged(role)
-    found = list(network.router.liveliness().get("rigctl/*/live/daemon", timeout=LIMIT_S))
+    found = list(network.router.liveliness().get("rigctl/*/live/daemon", timeout=patience_s()))
     token.undeclare()  # type: ignore[no-untyped-call]
     network.judged(role)
     return bool(found)
@@ -166,10 +168,10 @@ def declares(network: Network, session: zenoh.Session, key: str, role: str) -> b
 def sees(network: Network, session: zenoh.Session, key: str, _role: str) -> bool:
     token = network.own.liveliness().declare_token(key)
     ask = network.router.liveliness().get
-    until(lambda: list(ask(key, timeout=LIMIT_S)), "the token at the router")
-    found = list(session.liveliness().get("rigctl/*/live/daemon", timeout=LIMIT_S))
+    until(lambda: list(ask(key, timeout=patience_s())), "the token at the router")
+    found = list(session.liveliness().get("rigctl/*/live/daemon", timeout=patience_s()))
     token.undeclare()  # type: ignore[no-untyped-call]
-    until(lambda: not list(ask(key, timeout=LIMIT_S)), "the token's end")
+    until(lambda: not list(ask(key, timeout=patience_s())), "the token's end")
     return bool(found)
 
 
@@ -225,16 +227,16 @@ def test_another_process_on_the_local_socket_only_reads(network: Network) -> Non
     socket = network.keys.folder.path.parent / "own.sock"
     other = open_client(f"unixsock-stream/{socket}")
     key = Keys(RIG, "kim").command("hold")
-    assert list(other.get(key, timeout=LIMIT_S)) == []
+    assert list(other.get(key, timeout=patience_s())) == []
 
     def forge(query: zenoh.Query) -> None:
         query.reply(key, b"forged")
         finish(query)
 
     other.declare_queryable(key, forge)
-    assert list(other.get("judged", timeout=LIMIT_S)) == []
-    assert list(other.get(Keys(RIG).state, timeout=LIMIT_S))
-    found = list(network.people["operator"].get(key, timeout=LIMIT_S, target=zenoh.QueryTarget.ALL))
+    assert list(other.get("judged", timeout=patience_s())) == []
+    assert list(other.get(Keys(RIG).state, timeout=patience_s()))
+    found = list(network.people["operator"].get(key, timeout=patience_s(), target=zenoh.QueryTarget.ALL))
     assert [bytes(reply.ok.payload) for reply in found if reply.ok is not None] == [b"the gateway's"]
     close(other)
     with pytest.raises(SessionError):
@@ -251,7 +253,7 @@ def test_subscriptions_renewed_many_times_are_never_dropped(network: Network) ->
                 session.declare_subscriber(key, lambda sample: got.append(bytes(sample.payload)))  # noqa: B023
                 for key in (keys.state, keys.event("*"), keys.fast)
             ]
-            assert list(session.get(keys.state, timeout=LIMIT_S))
+            assert list(session.get(keys.state, timeout=patience_s()))
             for key in (keys.state, keys.event("info"), keys.fast):
                 network.router.put(key, f"{key} {turn}".encode())
             until(lambda: len(got) == 3, f"three messages in turn {turn}")  # noqa: B023
@@ -276,12 +278,12 @@ def test_a_session_ends_with_its_certificate(tmp_path: pathlib.Path) -> None:
         "eva", Role.VIEWER, days=1
     )
     endpoint, owned = f"tls/127.0.0.1:{free_port()}", credentials.read(keys.folder.issued("eva"))
-    access = access_control(RIG, keys.folder.certificates(), datetime.datetime.now(datetime.UTC), OWN_ZID)
+    access = access_control(RIG, OWN_ZID, keys.folder.certificates(), datetime.datetime.now(datetime.UTC))
     router = open_router([endpoint], [], keys.folder.gateway_credentials(), access)
     router.declare_queryable(Keys(RIG).state, answer)
     session = open_client(endpoint, owned)
-    assert list(session.get(Keys(RIG).state, timeout=LIMIT_S))
-    until(lambda: not list(session.get(Keys(RIG).state, timeout=LIMIT_S)), "the end of the session")
+    assert list(session.get(Keys(RIG).state, timeout=patience_s()))
+    until(lambda: not list(session.get(Keys(RIG).state, timeout=patience_s())), "the end of the session")
     assert datetime.datetime.now(datetime.UTC) >= owned.not_after
     with pytest.raises(SessionError):
         close(open_client(endpoint, owned))

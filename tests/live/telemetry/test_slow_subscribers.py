@@ -15,7 +15,8 @@ import pytest
 
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingReader
-from tests.builders.miniature import PATIENCE_S, Daemon, stop, until
+from tests.builders.miniature import Daemon, stop
+from tests.builders.waiting import patience_s, until
 
 HEALTHY = 3
 _SLOW = """
@@ -78,7 +79,7 @@ def counters(daemon: Daemon, number: int) -> list[subprocess.Popen[str]]:
 
 def figures_of(process: subprocess.Popen[str]) -> dict[str, Any]:
     process.send_signal(signal.SIGTERM)
-    out, _ = process.communicate(timeout=PATIENCE_S)
+    out, _ = process.communicate(timeout=patience_s())
     return dict(json.loads(out.splitlines()[-1]))
 
 

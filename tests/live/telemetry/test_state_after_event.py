@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from rigctl.client import Rig
-from tests.builders.miniature import PATIENCE_S, Daemon
+from tests.builders.miniature import Daemon
+from tests.builders.waiting import patience_s
 
 
 def commanded(rig: Rig, verb: str, mode: str) -> None:
     assert rig.command(verb, operator="kim")["accepted"]
-    event = rig.wait_event(kind="MODE", timeout_s=PATIENCE_S)
+    event = rig.wait_event(kind="MODE", timeout_s=patience_s())
     state = rig.state()
     assert event is not None
     assert (state["mode"], state["event_seq"] >= event["seq"]) == (mode, True)

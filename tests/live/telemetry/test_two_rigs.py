@@ -15,16 +15,18 @@ import numpy as np
 import pytest
 
 import rigctl.client
-from rigctl.client import Rig, Samples, connect
-from tests.builders.miniature import PATIENCE_S, Daemon, free_port, until
+from rigctl.client import Rig, Samples, connect, route
+from tests.builders.miniature import Daemon, free_port
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 
 @pytest.fixture
 def two() -> Iterator[tuple[Daemon, Daemon]]:
-    """The second joins the first one's router; they differ in their targets."""
-    first = Daemon("north_rig")
-    second = Daemon("south_rig", join=[first.endpoint])
+    """Each joins the other one's router; they differ in their targets."""
+    port = free_port()
+    first = Daemon("north_rig", join=[f"tcp/127.0.0.1:{port}"])
+    second = Daemon("south_rig", port, join=[first.endpoint])
     try:
         for daemon in (first, second):
             daemon.start_loop()
@@ -34,6 +36,13 @@ def two() -> Iterator[tuple[Daemon, Daemon]]:
     finally:
         first.close()
         second.close()
+
+
+@pytest.fixture(params=["by the rig's own socket", "by the routers"])
+def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where clients find the rigs: by their folders, or as from another computer."""
+    if "routers" in request.param:
+        monkeypatch.setattr(route, "local_daemons", lambda: iter(()))
 
 
 def _rigs(daemon: Daemon) -> list[str]:
@@ -50,15 +59,16 @@ def commands(daemon: Daemon) -> int:
 def read_on(samples: Samples, more: int) -> np.ndarray[tuple[int], np.dtype[np.uint64]]:
     """Sequence numbers of at least ``more`` further records."""
     numbers: list[int] = []
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + patience_s()
     while len(numbers) < more:
         assert time.monotonic() < end
-        block = samples.read(PATIENCE_S)
+        block = samples.read(patience_s())
         assert block is not None
         numbers += block["seq"].tolist()
     return np.array(numbers)
 
 
+@pytest.mark.usefixtures("way")
 def test_a_client_of_either_router_chooses_by_name(two: tuple[Daemon, Daemon]) -> None:
     first, second = two
     for endpoint in (first.endpoint, second.endpoint):
@@ -68,11 +78,11 @@ def test_a_client_of_either_router_chooses_by_name(two: tuple[Daemon, Daemon]) -
             with connect(endpoint, daemon.settings.rig) as rig, rig.fast() as samples:
                 assert rig.state()["rig"] == rig.name == rig.config()["settings"]["rig"] == daemon.settings.rig
                 assert rig.schema()["fast"]["key"] == f"rigctl/{daemon.settings.rig}/tele/fast"
-                assert rig.alive or rig.wait_alive(PATIENCE_S)
+                assert rig.alive or rig.wait_alive(patience_s())
                 numbers = read_on(samples, 500)
                 assert np.all(np.diff(numbers) == 1)
                 held = daemon.runtime.records.reader(from_start=True).read()
-                block = samples.read(PATIENCE_S)
+                block = samples.read(patience_s())
                 assert block is not None
                 mine = held["t_ns"][held["seq"] == numbers[-1]]
                 assert mine == block["t_ns"][0] - 1_000_000  # of this loop's grid, not the other's
@@ -86,7 +96,7 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         assert events.read(0.2) is None
         assert (armed := south.command("arm", operator="kim"))["accepted"], armed  # by the other rig's router
         assert south.command("target", 222.0, operator="kim")["accepted"]  # the stand-in trips
-        trip = south.wait_event(kind="TRIP", timeout_s=PATIENCE_S)
+        trip = south.wait_event(kind="TRIP", timeout_s=patience_s())
         assert trip is not None
         there, here = second.state(south.connection), first.state(north.connection)
         assert (there["rig"], there["mode"]) == ("south_rig", "FAULT")
@@ -111,6 +121,7 @@ def test_the_joined_router_dies_and_the_other_rig_streams_on(two: tuple[Daemon, 
         until(lambda: _rigs(first) == ["north_rig", "south_rig"], "and seen from its side")
 
 
+@pytest.mark.usefixtures("way")
 def test_the_joining_gateway_dies_and_its_clients_behind_the_other_router_lose_nothing(
     two: tuple[Daemon, Daemon],
 ) -> None:
@@ -143,7 +154,7 @@ def answering_late(endpoint: str, seconds: float) -> Iterator[str]:
     def through(visitor: socket.socket) -> None:
         time.sleep(seconds)
         with visitor, socket.create_connection((host, int(port))) as behind:
-            while ready := select.select([visitor, behind], [], [], PATIENCE_S)[0]:
+            while ready := select.select([visitor, behind], [], [], patience_s())[0]:
                 for one in ready:
                     if not (data := one.recv(65536)):
                         return
@@ -171,7 +182,7 @@ def test_a_duplicate_rig_name_behind_the_joined_router_is_refused(two: tuple[Dae
         try:
             command = [sys.executable, "-m", "rigctl.gateway.gateway_process", str(twin.runtime.directory)]
             done = subprocess.run(
-                command, cwd=ROOT, capture_output=True, text=True, timeout=PATIENCE_S * 2, check=False
+                command, cwd=ROOT, capture_output=True, text=True, timeout=patience_s() * 2, check=False
             )
         finally:
             twin.close()
@@ -182,7 +193,7 @@ def test_a_duplicate_rig_name_behind_the_joined_router_is_refused(two: tuple[Dae
 def test_a_router_to_join_that_is_not_there_yet_is_joined_later() -> None:
     port = free_port()
     second = Daemon("south_rig", join=[f"tcp/127.0.0.1:{port}"])
-    first = Daemon("north_rig", port)
+    first = Daemon("north_rig", port, join=[second.endpoint])
     try:
         second.start_loop()
         second.start_gateway()

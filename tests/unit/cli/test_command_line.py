@@ -18,6 +18,7 @@ from rigctl.cli.quick_hold import HoldWords, read_words
 from rigctl.cli.top_help import top_help
 from rigctl.cli.typer_app import program
 from rigctl.cli.verb_table import VERBS
+from tests.builders.waiting import patience_s
 from tests.conftest import Command
 
 
@@ -38,7 +39,9 @@ def test_help_has_a_short_name_everywhere(in_process: Command, verb: str) -> Non
 def test_a_shell_completes_the_verbs() -> None:
     asked = {"_RIGCTL_COMPLETE": "complete_bash", "COMP_WORDS": "rigctl ta", "COMP_CWORD": "1"}
     command = [sys.executable, "-c", "import sys; sys.argv[0] = 'rigctl'; from rigctl.cli.app import main; main()"]
-    done = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        command, env={**os.environ, **asked}, capture_output=True, text=True, timeout=patience_s(), check=False
+    )
     assert sorted(done.stdout.split()) == ["tare", "target"]
 
 
@@ -114,3 +117,46 @@ def test_the_short_way_reads_a_hold_as_every_command_is_read(words: list[str], m
     monkeypatch.setattr("rigctl.cli.hold.give_and_end", give)
     typer_app.run("hold", words)
     assert read_words(words) == (found[0] if found else None)
+
+
+@pytest.mark.parametrize(
+    ("program_", "words", "shown"),
+    [
+        ("rigctl", ["status", "--bad"], "rigctl status --help"),
+        ("rigctl", ["--key", "a", "tare", "--bad"], "rigctl tare --help"),
+        ("rigctl", ["bench"], "rigctl bench --help"),
+        ("rigctl", ["--bad"], "rigctl --help"),
+        ("rigctl", ["nonsense"], "rigctl --help"),
+        ("hil", ["faults", "--bad"], "python -m hil faults --help"),
+        ("hil", ["new", "rig"], "python -m hil new --help"),
+        ("hil", ["nonsense"], "python -m hil --help"),
+    ],
+)
+def test_wrong_usage_names_the_help_of_its_own_command(
+    in_process: Command, program_: str, words: list[str], shown: str
+) -> None:
+    done = in_process(program_, *words)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.endswith(f" (see {shown})\n")
+
+
+LONG = ["check WORD", "keys list --dir WORD", "status --connect WORD", "WORD", "status --WORD", "tune WORD"]
+LONG_OF_HIL = ["faults --only WORD", "serve WORD", "new rig WORD", "paper --json WORD", "WORD", "scenario WORD"]
+
+
+@pytest.mark.parametrize("word", ["a" * 40_000, "a b " * 10_000], ids=["a word", "words"])
+@pytest.mark.parametrize(
+    ("program_", "line"), [*(("rigctl", line) for line in LONG), *(("hil", line) for line in LONG_OF_HIL)]
+)
+def test_a_long_name_is_cut_in_what_is_said_of_it(in_process: Command, program_: str, line: str, word: str) -> None:
+    done = in_process(program_, *(part.replace("WORD", word) for part in line.split()))
+    assert done.returncode in (1, 2)
+    assert done.stdout == "" and 20 < len(done.stderr) < 3000
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_folder_as_a_key_is_wrong_usage(in_process: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RIGCTL_KEY", "")
+    done = in_process("rigctl", "--key", "tests", "status", "--connect", "tls/127.0.0.1:1")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "rigctl: tests: found no plain file, expected a key file from rigctl keys add\n"

@@ -202,7 +202,8 @@ def test_a_running_daemons_preflight_is_shown_line_by_line() -> None:
     assert found["daemon"].severity is WARNING  # of another version
     assert found["rig file"].found == "differs from what runs in safety"
     others = [finding for name, finding in found.items() if name in doctor_daemon.TITLES.values()]
-    not_fitted = {Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN, Check.SECOND_FORCE, Check.FORCES_DISAGREE}
+    io = {Check.E_STOP_IO, Check.E_STOP_IO_UNSEEN, Check.ENABLE_IGNORED}
+    not_fitted = {*io, Check.SECOND_FORCE, Check.FORCES_DISAGREE}
     assert sum(finding.severity is OK for finding in others) == len(set(Check) - not_fitted) - 2
 
 

@@ -145,7 +145,7 @@ def drop_in(settings: RigSettings) -> str:
 def test_the_daemon_reaches_only_what_its_rig_file_needs(tmp_path: pathlib.Path) -> None:
     def drop_ins(settings: RigSettings) -> dict[str, str]:
         found = of_rig(settings, FOUR, None)
-        names = {name: install_files.process_drop_in(settings.rig, name) for name in ("gateway", "recorder", "hold")}
+        names = {name: install_files.process_drop_in(settings.rig, name) for name in ("gateway", "recorder")}
         return {name: found[path].decode() for name, path in names.items()} | {"daemon": drop_in(settings)}
 
     near = drop_ins(changed(tmp_path)[0])
@@ -167,7 +167,7 @@ def test_the_recorder_reaches_its_collector(tmp_path: pathlib.Path, collector: s
     lines = files[install_files.process_drop_in(settings.rig, "recorder")].decode().splitlines()
     for line in ("PrivateNetwork=no", "RestrictAddressFamilies=AF_INET AF_INET6", f"IPAddressAllow={allowed}"):
         assert line in lines
-    others = (files[install_files.process_drop_in(settings.rig, name)].decode() for name in ("gateway", "hold"))
+    others = (files[install_files.process_drop_in(settings.rig, name)].decode() for name in ("gateway",))
     assert not any("PrivateNetwork" in text or "IPAddressAllow" in text for text in others)
 
 
@@ -175,10 +175,41 @@ def test_folders_of_other_names_are_made_for_the_process_that_writes_them(tmp_pa
     assert install_files.tmpfiles("rig") not in of_rig(changed(tmp_path)[0], FOUR, None)
     settings = changed(tmp_path, recording={"folder": "tapes"})[0]
     made = of_rig(settings, FOUR, None)[install_files.tmpfiles(settings.rig)].decode()
-    assert "d /var/lib/rigctl/tapes 0750 rigctl-recorder rigctl -\n" in made
+    assert "d /var/lib/rigctl/tapes 0750 rigctl-recorder rigctl-recorder -\n" in made
     for section, change in (("audit", {"file": "calibration/rig.jsonl"}), ("recording", {"folder": "."})):
         with pytest.raises(InstallError, match="expected one without the ledger in it"):
             of_rig(changed(tmp_path, **{section: change})[0], FOUR, None)
+
+
+def service_groups() -> dict[str, set[str]]:
+    """The groups of each service's process, by its user."""
+    found = {}
+    for unit in (ROOT / "deploy/systemd").glob("*.service"):
+        lines = dict(line.split("=", 1) for line in unit.read_text().splitlines() if "=" in line)
+        found[lines["User"]] = {lines["Group"], *lines.get("SupplementaryGroups", "").split()}
+    return found
+
+
+def test_no_service_can_exchange_anothers_folder_and_the_recorders_are_its_own() -> None:
+    """By the rules of the kernel: the owner of a folder, and a group that may write to it, renames what is in it."""
+    lines = [line.split() for line in (ROOT / "deploy/tmpfiles.d/rigctl.conf").read_text().splitlines()]
+    made = {pathlib.Path(line[1]): line[2:5] for line in lines if line[0] == "d"}
+    parent = made[layout.STATE]
+    assert parent == ["0750", "root", "rigctl"]
+    groups = service_groups()
+    assert {"rigctl", "rigctl-gateway", "rigctl-recorder", "rigctl-page", "rigctl-sim"} == groups.keys()
+    readers = {}
+    for place, (mode, owner, group) in made.items():
+        if place.parent == layout.STATE:
+            bits = int(mode, 8)
+            assert not bits & 0o027, place  # none but the owner writes, and others do nothing
+            assert parent[2] in groups[owner], f"{owner} cannot enter {layout.STATE}"
+            readers[place.name] = {user for user, has in groups.items() if user == owner or group in has}
+    recorders = {"rigctl-recorder", "rigctl"}  # the supervisor reads the audit log's end and the last known stroke
+    assert readers == {
+        "audit": recorders, "trips": recorders, "recordings": recorders,
+        "calibration": {*recorders, "rigctl-gateway"},
+    }  # fmt: skip
 
 
 def test_the_bus_comes_up_with_bit_rate_queue_and_no_restart(tmp_path: pathlib.Path) -> None:

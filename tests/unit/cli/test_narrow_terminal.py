@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from rich.console import Console
 from rigctl.cli import check
 from rigctl.cli.watch_screen import Screen
 from rigctl.config import rig_file as config
+from rigctl.config.settings_base import Settings
 from rigctl.devices import busload
 from rigctl.wire import state_words as figures
 from tests.builders.paths import ROOT
@@ -39,6 +41,21 @@ def test_check_shows_every_value_at_any_width(width: int) -> None:
     values = [line for line in lines if line.startswith("   ") and len(line.split()) >= 2]
     assert len(values) >= 0.8 * leaves(RIG.model_dump(exclude={"directory", "plain"}))
     assert max(map(len, lines)) <= max(width, 32)
+
+
+def keys_of(section: Settings) -> Iterator[str]:
+    for key in type(section).model_fields:
+        if key not in ("directory", "plain"):
+            yield key
+            if isinstance(inner := getattr(section, key), Settings):
+                yield from keys_of(inner)
+
+
+@pytest.mark.parametrize("width", [72, 80, 200])
+def test_check_cuts_no_key(width: int) -> None:
+    """A pipe has 80 columns."""
+    words = {part for line in shown(width) for word in line.split() for part in (word, *word.split("."))}
+    assert not set(keys_of(RIG)) - words - {"limits", "dbc", "eds"}
 
 
 def test_check_tells_units_and_meanings_where_there_is_room() -> None:

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import subprocess
 import sys
 from collections.abc import Callable
 
 import pytest
 
+from rigctl.cli.progress import progress
+from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
 from rigctl.design import design_text, margin_plot
+from rigctl.design.in_use import design_in_use
 from rigctl.design.margins import design_and_check
 from tests.builders import daemons
 from tests.builders.paths import ROOT
@@ -76,10 +80,9 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
         (("nothing.yaml",), "nothing.yaml: cannot be read"),
         (("config",), "config: cannot be read: Is a directory"),
         (("README.md",), "README.md:"),
-        ((PAPER, "--json"), "--json"),
         ((PAPER, "--json", "nowhere/x.json"), "--json: nowhere/x.json cannot be written: there is no folder nowhere"),
         ((PAPER, "--json", "config"), "--json: config cannot be written: Is a directory"),
-        ((PAPER, "--json", PAPER), "is the rig file"),
+        ((PAPER, "--json", PAPER), "expected a file for the figures"),
         ((PAPER, "--plot", "x.jpg"), "expected a name ending in .png, .svg, .pdf"),
         ((PAPER, "--plot", "/proc/x.png"), "--plot: /proc/x.png cannot be written: No such file"),
         ((PAPER, "--gains", "config/rig.yaml"), "is there and is no gain file"),
@@ -142,11 +145,48 @@ def test_an_ms_just_above_its_limit_is_not_shown_as_equal(rig: Rig) -> None:
     assert f"Ms {ms:.6f}" in design_and_check(rig(design={"ms_max": ms - 1e-5})).verdict()
 
 
-@pytest.mark.parametrize(("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")])
-@pytest.mark.parametrize("plant", [{}, {**NO_SPRING, "mechanism_n_mm": 6.0}], ids=["accepted", "unstable"])
+@pytest.mark.parametrize(
+    ("suffix", "start", "plant"),
+    [(".png", b"\x89PNG", {}), (".svg", b"<?xml", {**NO_SPRING, "mechanism_n_mm": 6.0}), (".pdf", b"%PDF", {})],
+)
 def test_picture_of_any_design_in_every_format(
     rig: Rig, tmp_path: pathlib.Path, suffix: str, start: bytes, plant: dict[str, float | None]
 ) -> None:
     settings = rig(plant=plant)
     margin_plot.draw(settings, design_and_check(settings), tmp_path / f"x{suffix}")
     assert (tmp_path / f"x{suffix}").read_bytes().startswith(start)
+
+
+def test_check_refuses_the_design_that_run_refuses(tmp_path: pathlib.Path, in_process: Command) -> None:
+    file = daemons.rig_file(tmp_path, {"design": {"stretch_weight": 500.0}})
+    answer = in_process("rigctl", "check", file)
+    assert (answer.returncode, answer.stderr.count("\n")) == (1, 1)
+    refused = design_in_use(rig_file.load(file))
+    assert answer.stderr == f"rigctl: {file}: {refused.verdict()}\n"
+    said = json.loads(in_process("rigctl", "check", file, "--json").stdout)
+    assert said["accepted"] is said["design"]["accepted"] is False
+
+
+def test_check_refuses_a_gain_file_that_run_refuses(tmp_path: pathlib.Path, in_process: Command) -> None:
+    file = daemons.rig_file(tmp_path, {"design": {"gains_file": "none.yaml"}})
+    answer = in_process("rigctl", "check", file)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert "none.yaml: " in answer.stderr
+
+
+def test_check_says_the_design_that_run_says(in_process: Command) -> None:
+    answer = in_process("rigctl", "check", PAPER)
+    assert (answer.returncode, answer.stderr) == (0, "")
+    assert re.search(
+        r"^design: Ms 1\.5\d+ over the assumed family of plants \(limit 1\.6\)$", answer.stdout, re.MULTILINE
+    )
+
+
+def test_a_long_search_says_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    with progress("weights", 600.0, lines=True) as advance:
+        for _ in range(600):
+            advance(1.0, "")
+    assert capsys.readouterr().err.splitlines() == [f"weights: {percent} %" for percent in range(0, 101, 2)]
+    with progress("a moment", 1.0) as advance:
+        advance(1.0, "")
+    assert capsys.readouterr().err == ""

@@ -16,8 +16,7 @@ from tests.builders.paths import ROOT
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 pytestmark = pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="needs systemd-analyze")
 EXPOSURE = {
-    "rigctl@": 2.0, "rigctl-gateway@": 2.0, "rigctl-recorder@": 1.0, "rigctl-hold@": 1.0, "rigctl-page@": 1.5,
-    "rigctl-sim@": 1.5,
+    "rigctl@": 2.0, "rigctl-gateway@": 2.0, "rigctl-recorder@": 1.0, "rigctl-page@": 1.5, "rigctl-sim@": 1.5,
 }  # fmt: skip
 
 
@@ -43,7 +42,7 @@ def test_systemd_finds_no_fault_in_the_units(root: pathlib.Path) -> None:
         shutil.copy("/bin/true", root / program)
     names = [
         f"rigctl{kind}@{rig}.service"
-        for kind in ("", "-page", "-sim", "-gateway", "-recorder", "-hold")
+        for kind in ("", "-page", "-sim", "-gateway", "-recorder")
         for rig in ("paper_rig", "rig")
     ]
     assert (units / "rigctl@rig.service.d/rig.conf").exists()
@@ -66,4 +65,4 @@ def test_users_and_folders_are_ones_that_systemd_can_make(root: pathlib.Path) ->
     made = subprocess.run(["systemd-sysusers", f"--root={root}"], capture_output=True, text=True, check=False)
     assert made.returncode == 0, made.stderr
     users = {line.split(":")[0] for line in (root / "etc/passwd").read_text().splitlines()}
-    assert {"rigctl", "rigctl-gateway", "rigctl-recorder", "rigctl-hold", "rigctl-page", "rigctl-sim"} <= users
+    assert {"rigctl", "rigctl-gateway", "rigctl-recorder", "rigctl-page", "rigctl-sim"} <= users

@@ -37,7 +37,7 @@ class Daemon:
 
     def publish(self, source: str, seq: int) -> None:
         self.heads[source] = max(self.heads[source], seq)
-        self.put(SimpleNamespace(payload=msgspec.json.encode(self.message(source, seq))))
+        self.put(SimpleNamespace(key_expr=KEYS.event("info"), payload=msgspec.json.encode(self.message(source, seq))))
 
     def answer(self, question: Question) -> bytes:
         if question.selector == KEYS.state:
@@ -56,7 +56,9 @@ class Daemon:
 
     def spoof(self, **wrong: Any) -> None:
         """Publish on the daemon's key as another peer."""
-        self.put(SimpleNamespace(payload=msgspec.json.encode(self.message("loop", 1) | wrong)))
+        self.put(
+            SimpleNamespace(key_expr=KEYS.event("info"), payload=msgspec.json.encode(self.message("loop", 1) | wrong))
+        )
 
 
 def given_by(source: EventSource, daemon: Daemon, *, silent: bool = False) -> list[tuple[str, int]]:
@@ -118,7 +120,7 @@ def test_a_daemon_that_does_not_answer_leaves_what_was_published() -> None:
     source = EventSource(daemon.mailbox, KEYS)
     daemon.publish("loop", 11)
     daemon.publish("loop", 15)
-    daemon.put(SimpleNamespace(payload=b"garbage"))
+    daemon.put(SimpleNamespace(key_expr=KEYS.event("info"), payload=b"garbage"))
     assert given_by(source, daemon, silent=True) == [("loop", 11), ("loop", 15)]
 
 

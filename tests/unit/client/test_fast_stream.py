@@ -87,7 +87,7 @@ class Gateway:
 
     def publish(self, *spans: tuple[int, int]) -> None:
         for first, last in spans:
-            self.put(SimpleNamespace(payload=made(first, last, self.stream)))
+            self.put(SimpleNamespace(key_expr=self.keys.fast, payload=made(first, last, self.stream)))
 
 
 def reading(gateway: Gateway, *, recover: bool = True, past: bool = False) -> Blocks:
@@ -153,7 +153,7 @@ def test_a_new_daemon_counts_from_one_again() -> None:
     gateway = Gateway(range(1, 2000))
     reader = reading(gateway)
     gateway.publish((1001, 1010))
-    gateway.put(SimpleNamespace(payload=b"garbage"))
+    gateway.put(SimpleNamespace(key_expr=gateway.keys.fast, payload=b"garbage"))
     gateway.stream = 2
     gateway.publish((3, 5))
     assert numbers(reader.arrived()) == [*range(1001, 1011), *range(1, 6)]
@@ -165,8 +165,10 @@ def test_records_the_daemon_knows_nothing_of_are_refused() -> None:
     gateway = Gateway(range(1, 100))
     reader = reading(gateway)
     gateway.publish((1, 10))
-    gateway.put(SimpleNamespace(payload=made(2**60, 2**60 + 1)))  # from the far future
-    gateway.put(SimpleNamespace(payload=made(1, 5, stream=9)))  # as after a restart of the daemon
+    gateway.put(SimpleNamespace(key_expr=gateway.keys.fast, payload=made(2**60, 2**60 + 1)))  # from the far future
+    gateway.put(
+        SimpleNamespace(key_expr=gateway.keys.fast, payload=made(1, 5, stream=9))
+    )  # as after a restart of the daemon
     gateway.publish((11, 20))
     assert numbers(reader.arrived()) == list(range(1, 21))
     assert (reader.count.malformed, reader.count.lost, reader.count.streams) == (2, 0, 1)

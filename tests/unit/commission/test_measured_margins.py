@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigctl.commission import response_entry
+from rigctl.commission.frequency_response import spectra
 from rigctl.commission.measured_margins import Controller, MeasuredMargins, measure
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
+from rigctl.control.multisine import Band, multisine
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import design, filter_gain
 from tests.builders.linear_plant import Array, ComplexArray, TruePlant, true_sensitivities
@@ -119,3 +122,29 @@ def test_the_curves_are_those_of_the_loop(rig: Rig) -> None:
     assert np.abs(curves.at_output - true[1]).max() < 0.03
     assert curves.loop == pytest.approx(1.0 / curves.at_input - 1.0)
     assert curves.peaks == (np.abs(curves.at_input).max(), np.abs(curves.at_output).max())
+
+
+def test_a_peak_beyond_the_excitation_is_continued_by_the_plant_found_and_said_to_be(rig: Rig) -> None:
+    """A loss of 0.05 N s/mm is 25 N/mm at 80 Hz beside a spring of 6: the sensitivity rises far above the band."""
+    settings = rig(design={"stretch_weight": 3000.0}, estimator={"tension_walk_n": 0.3})
+    acting = law(settings)
+    signal = multisine(Band(4.0, 0.75, 37.0, 1.25), round(1.0 / TICK_S), 0.02, 0.5, 0.45)
+
+    def loop(hz: Array) -> ComplexArray:
+        per_tension, per_speed = acting(hz)
+        closed = true_sensitivities(PLANT, per_tension, per_speed, hz)[0]
+        return np.stack([closed, per_tension * closed])
+
+    taken = records(sensitivity=loop, speed_mm_s=3.0, signal=signal)
+    found = measure(spectra(taken, signal.harmonics, signal.ticks, TICK_S), settings.plant, acting)
+    signal_hz = signal.harmonics[-1] * TICK_S**-1 / signal.ticks
+    sensitivities = np.abs(true_sensitivities(PLANT, *acting(FINE_HZ), FINE_HZ))
+    true, at_hz = sensitivities.max(), FINE_HZ[np.argmax(sensitivities.max(axis=0))]
+    assert at_hz > 1.5 * signal_hz
+    assert sensitivities[:, signal_hz > FINE_HZ].max() < true - 0.2
+    assert found.beyond
+    assert found.ms.value == pytest.approx(true, rel=0.1)
+    said = response_entry.in_words(found)
+    assert f"Ms at least {found.at_least:.3f} measured up to 31 Hz" in said
+    assert 1.0 < found.at_least <= sensitivities[:, signal_hz >= FINE_HZ].max() + 0.01
+    assert "as plant found and controller continue it" in said

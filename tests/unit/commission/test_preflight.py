@@ -22,6 +22,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 assert PAPER.calibration is not None
@@ -169,7 +170,7 @@ def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_pat
         assert set(watched.verdict(time.monotonic_ns()).failing) == {Check.MARGINS, Check.REALTIME}
         runtime.write_json("active.json", GOOD["active"])
         runtime.write_json("control.json", GOOD["control"])
-        until = time.monotonic() + 20.0
+        until = time.monotonic() + patience_s()
         while watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
             time.sleep(0.02)
         assert watched.verdict(time.monotonic_ns()) == PreflightVerdict({}, {})

@@ -103,6 +103,8 @@ REFUSED: list[tuple[str, dict[str, dict[str, Any]], str]] = [
     ("calibration.due_days", {"calibration": {"due_days": 3650}}, "18 months"),
     ("calibration.reference_n", {"calibration": {"reference_n": 1.0}}, "a fifth"),
     ("preflight.disk_free_mib", {"preflight": {"disk_free_mib": 1}}, "trip dump"),
+    ("hold.park_s", {"hold": {"park_s": 0.4}}, "0.5 to 30"),
+    ("hold.park_s", {"hold": {"park_s": 31.0}}, "found 31.0"),
 ]
 
 
@@ -166,9 +168,9 @@ def test_check_says_how_far_a_stop_goes_and_what_it_makes() -> None:
 
 
 def test_figures_taken_from_the_loop_are_the_loops() -> None:
-    from rigctl.control import inbox, safety
+    from rigctl.control import cell_step, inbox, safety
 
-    assert config_bounds.PAYLOAD_MM_S == safety.PAYLOAD_MM_S
+    assert config_bounds.PAYLOAD_MM_S == cell_step.PAYLOAD_MM_S
     assert config_bounds.NOISY == safety.UNREST_NOISES
     assert config_bounds.OVERRANGE == inbox.OVERRANGE
 

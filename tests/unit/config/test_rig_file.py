@@ -133,6 +133,8 @@ def test_a_rail_encoder_and_a_table_that_do_not_fit_are_refused(
         ("lock_memory: true", "lock_memory: yes", "loop.lock_memory", "yes", "true or false"),
         ("lock_memory: true", "lock_memory: 1", "loop.lock_memory", "1", "true or false"),
         ("bitrate_bit_s: 1000000", "bitrate_bit_s: 1 Mbit/s", "can.bitrate_bit_s", "'1 Mbit/s'", "bit/s"),
+        ("channel: /tmp/rigctl-paper_rig.sock", "channel: 5", "can.channel", "5", "in quotes"),
+        ("channel: /tmp/rigctl-paper_rig.sock", "channel: 1.2.3", "can.channel", "1.2.3", "in quotes"),
         ("spin_us: 80", "rate_hz: 60", "loop.rate_hz", "the key twice", "once"),
         ("  node: 3", "  node: 2", "inclinometer.node", "2", "tension_cell has it"),
         ("heartbeat_timeout_ms: 60", "heartbeat_timeout_ms: 30", "cylinder.heartbeat_timeout_ms", "30", "(40)"),
@@ -152,6 +154,12 @@ def test_a_bad_value_gets_one_line(refuse: Refuse, old: str, new: str, key: str,
     assert rest.startswith(f"{key}: found ")
     assert found in rest.partition(", expected")[0]
     assert allowed in rest.partition(", expected")[2]
+
+
+def test_an_address_is_text(tmp_path: pathlib.Path) -> None:
+    (tmp_path / "eds").symlink_to(ROOT / "config/eds")
+    (tmp_path / "rig.yaml").write_text(PAPER.replace("channel: /tmp/rigctl-paper_rig.sock", "channel: 239.74.163.77"))
+    assert config.load(tmp_path / "rig.yaml").can.channel == "239.74.163.77"
 
 
 def test_each_of_several_bad_values_gets_its_line(refuse: Refuse) -> None:

@@ -18,17 +18,24 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 STOP_NS = 60 * MS
 BOUNDS = Bounds(SETTINGS, STOP_NS)
-GOOD = Snapshot(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS)
-HELPED = {Action.RAMP_DOWN: GOOD, Action.HOLD: GOOD, Action.QUICK_STOP: replace(GOOD, drive_off=True),
-          Action.POWER_OFF: replace(GOOD, drive_off=True)}  # fmt: skip
+GOOD = Snapshot(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS, drive_may_be_on=True)
+OFF = replace(GOOD, drive_off=True, drive_may_be_on=False)
+STOPS = replace(GOOD, drive_stops=True)
+HELPED = {Action.RAMP_DOWN: GOOD, Action.HOLD: GOOD, Action.QUICK_STOP: OFF, Action.POWER_OFF: OFF,
+          Action.SILENCE: OFF}  # fmt: skip
 BAD = {
     Symptom.RAMP_RISES: {"tension_n": 303.1},
     Symptom.HOLD_RISES: {"tension_n": 403.1},
     Symptom.HOLD_MOVES: {"speed_mm_s": -1.1},
     Symptom.STOP_MOVES: {"speed_mm_s": 0.21},
     Symptom.STOP_DRIFTS: {"stroke_mm": 49.79},
-    Symptom.STOP_STAYS_ON: {"drive_off": False},
+    Symptom.STOP_STAYS_ON: {"drive_may_be_on": True, "drive_stops": True},
     Symptom.OFF_DRIFTS: {"stroke_mm": 50.21},
+    Symptom.HOLD_BLIND: {"unseen_mm": 0.21, "drive_age_ns": 16 * MS},
+    Symptom.STOP_UNANSWERED: {"drive_may_be_on": True},
+    Symptom.OFF_UNANSWERED: {"drive_may_be_on": True},
+    Symptom.OFF_STAYS_ON: {"drive_may_be_on": True, "drive_stops": True},
+    Symptom.SILENCE_MOVES: {"tension_n": 303.1},
 }
 
 
@@ -51,14 +58,15 @@ def time_ms(step: Step) -> int:
 def test_every_symptom_has_its_line_and_leads_to_something_stronger() -> None:
     assert [step.symptom for step in STEPS] == list(Symptom)
     assert all(step.after is None or step.after > step.action for step in STEPS)
-    assert [step.action for step in STEPS if step.after is None] == [Action.POWER_OFF]
+    assert [step.symptom for step in STEPS if step.after is None] == [Symptom.OFF_DRIFTS, Symptom.SILENCE_MOVES]
 
 
 @pytest.mark.parametrize("step", [step for step in STEPS if step.symptom in BAD], ids=lambda step: step.symptom.name)
 def test_what_has_not_helped_is_found_once_after_its_time_and_not_before(step: Step) -> None:
     rests_ms = step.waits_ns(BOUNDS) // MS + 1
     due_ms = rests_ms + step.persistence_ns // MS
-    ((at_ms, found),) = watched(step, bad_from_ms=rests_ms, until_ms=due_ms + 1500)
+    seen = watched(step, bad_from_ms=rests_ms, until_ms=due_ms + 1500)
+    ((at_ms, found),) = [item for item in seen if item[1].symptom is step.symptom]
     assert at_ms == due_ms
     assert (found.symptom, found.fault, found.after) == (step.symptom, Fault.LIMIT, step.after)
     assert found.value > found.limit == step.bound(BOUNDS)
@@ -80,14 +88,14 @@ def test_a_ramp_down_that_does_not_end_is_held() -> None:
     assert found.after is Action.HOLD
 
 
-def test_a_drive_that_is_not_heard_for_half_a_second_is_stopped() -> None:
+def test_a_drive_that_is_not_heard_for_100_ms_is_stopped() -> None:
     subject, found = Escalator(SETTINGS, STOP_NS), []
     stale_ms = SETTINGS.safety.stale_ms
     for ms in range(1500):
         snapshot = replace(GOOD, t_ns=ms * MS, drive_age_ns=max(0, ms - 400) * MS)
         if (escalation := subject.look(Fault.DRIVE_STALE, Action.HOLD, snapshot, ms * MS)) is not None:
             found.append((ms, escalation.symptom, escalation.after))
-    assert found == [(400 + stale_ms + 501, Symptom.HOLD_UNSEEN, Action.QUICK_STOP)]
+    assert found == [(400 + stale_ms + 101, Symptom.HOLD_UNSEEN, Action.QUICK_STOP)]
 
 
 def test_a_rising_tension_below_its_limit_is_nobodys_fault() -> None:
@@ -98,7 +106,7 @@ def test_a_rising_tension_below_its_limit_is_nobodys_fault() -> None:
 
 
 def test_each_reaction_has_its_own_time() -> None:
-    subject, moving = Escalator(SETTINGS, STOP_NS), replace(GOOD, speed_mm_s=2.0)
+    subject, moving = Escalator(SETTINGS, STOP_NS), replace(STOPS, speed_mm_s=2.0)
     hold, stop = (next(step for step in STEPS if step.symptom is name) for name in (Symptom.HOLD_MOVES,
                                                                                     Symptom.STOP_MOVES))  # fmt: skip
     found = []
@@ -108,7 +116,7 @@ def test_each_reaction_has_its_own_time() -> None:
         if escalation is not None and escalation.after is not None:
             found.append((ms, escalation.symptom))
             action = escalation.after
-    first, second = found
+    first, second, _ = found
     assert first == (time_ms(hold), Symptom.HOLD_MOVES)
     assert second == (first[0] + 1 + time_ms(stop), Symptom.STOP_MOVES)
 

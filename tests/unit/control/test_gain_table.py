@@ -97,3 +97,25 @@ def test_a_change_of_gains_and_stiffness_does_not_step_the_command() -> None:
     after = law.compensating(estimate, 1.0)
     step = abs(before[-1] - before[-2])
     assert abs(after - before[-1]) <= 2.0 * step
+
+
+def test_a_change_of_the_stiffness_on_a_ramp_makes_no_step_in_the_command() -> None:
+    """From 6 to 6.6 N/mm at 50 N/s, on a rope that follows: the step was 0.8 mm/s, beside the limit of acceleration."""
+    settings = changed(SETTINGS, {"tension.ramp_n_s": 50.0, "tension.acceleration_max_mm_s2": 1e6})
+    gains = Gains(1.3, 0.15, 1.0)
+    law, k_n_mm = TensionLaw(settings, gains), settings.plant.stiffness_n_mm
+    law.start_ramp(200.0, 0.0)
+    law.target_n = 300.0
+    commands, ramps = [], []
+    for tick in range(4000):
+        speed_mm_s = law._slope_n_s / k_n_mm
+        commands.append(law.compensating(Estimate(law.setpoint_n, speed_mm_s, 0.0, 50.0), 1.0))
+        ramps.append(law._slope_n_s)
+        if tick == 1000:
+            assert law._slope_n_s == 50.0
+            law.change_gains(gains, 1.1 * k_n_mm)
+    steps = np.abs(np.diff(commands))
+    assert steps[1000] < 0.01
+    assert steps.max() < 0.1, "nor is there one at the ramp's end"
+    assert ramps[-1] == 0.0
+    assert law._stiffness == pytest.approx(1.1 * k_n_mm), "in use once the ramp has ended"

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, SETTLED_S, SPEED_SHARE, MarginProbe, level, signal
+from rigctl.control.margin_probe import GROW_S, SETTLED_S, SPEED_SHARE, Probe, level, signal
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
@@ -21,24 +21,24 @@ def with_margins(settings: RigSettings = PAPER, **values: float) -> RigSettings:
 
 
 def run(
-    probe: MarginProbe, seconds: float, *, error_n: float = 0.0, free: bool = True
+    probe: Probe, seconds: float, *, error_n: float = 0.0, free: bool = True
 ) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
     return np.array([probe.speed_mm_s(error_n, free=free) for _ in range(round(seconds * RATE))])
 
 
-def test_without_the_section_there_is_none() -> None:
-    assert PAPER.margins is None
-    assert not run(MarginProbe(PAPER), 10.0).any()
-    assert level(PAPER) == 0.0
+def measuring() -> Probe:
+    return Probe(with_margins(), signal(PAPER), level(with_margins()))
 
 
 def test_it_grows_once_the_tension_is_near_its_set_point_and_then_repeats() -> None:
-    probe, settings = MarginProbe(with_margins()), with_margins()
+    probe, settings = measuring(), with_margins()
     before = run(probe, SETTLED_S)
     assert not before.any()
+    assert not probe.whole
     growing = run(probe, GROW_S)
     period = signal(settings).ticks
     steady = run(probe, 12.0)
+    assert probe.whole
     assert np.abs(growing[:RATE]).max() < 0.5 * np.abs(steady).max()
     assert np.array_equal(steady[:period], steady[period : 2 * period])
     assert np.abs(steady).max() == pytest.approx(level(settings) * signal(settings).peak_mm_s)
@@ -47,7 +47,7 @@ def test_it_grows_once_the_tension_is_near_its_set_point_and_then_repeats() -> N
 
 @pytest.mark.parametrize("case", [{"free": False}, {"error_n": 3.1}, {"error_n": -3.1}, {"error_n": float("nan")}])
 def test_it_is_off_at_once_and_begins_anew(case: dict[str, float]) -> None:
-    probe = MarginProbe(with_margins())
+    probe = measuring()
     assert run(probe, 8.0)[-1] != 0.0
     assert not run(probe, 0.01, **case).any()  # type: ignore[arg-type]
     assert not run(probe, SETTLED_S).any()

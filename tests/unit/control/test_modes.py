@@ -32,7 +32,14 @@ from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
 
 READY = Situation(
-    unloaded=True, wanted_n=300.0, measured_mm=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0, moves=2
+    unloaded=True,
+    wanted_n=300.0,
+    measured_mm=300.0,
+    stroke_mm=300.0,
+    target_min_n=50.0,
+    target_max_n=350.0,
+    moves=2,
+    carry_s=60.0,
 )
 
 
@@ -55,9 +62,9 @@ def test_what_happens_by_itself_moves_the_rig_only_where_it_means_something(mode
     assert next_mode(mode, event) is (after if mode in where else mode)
 
 
-def test_only_a_reset_leaves_a_fault() -> None:
+def test_only_a_reset_and_the_lowering_of_the_load_leave_a_fault() -> None:
     leaving = {event for event in Event if next_mode(Mode.FAULT, event) is not Mode.FAULT}
-    assert leaving == {Event.RESET_HELD, Event.RESET_OFF}
+    assert leaving == {Event.RESET_HELD, Event.RESET_OFF, Event.LOWER}
 
 
 ACCEPTED = {
@@ -66,7 +73,7 @@ ACCEPTED = {
     Mode.TENSIONING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
     Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET, Verb.RESPONSE, Verb.MOVE},
     Mode.RELEASING: {Verb.TENSION, Verb.HOLD, Verb.GAINS, Verb.TARGET},
-    Mode.FAULT: {Verb.RESET, Verb.DISARM, Verb.GAINS, Verb.TARGET, Verb.CONFIRM_STROKE},
+    Mode.FAULT: {Verb.RESET, Verb.DISARM, Verb.GAINS, Verb.TARGET, Verb.CONFIRM_STROKE, Verb.CARRY, Verb.LOWER},
 }
 
 
@@ -76,6 +83,7 @@ LEADS_TO = {
     Verb.HOLD: Mode.HOLD,
     Verb.DISARM: Mode.DISARMED,
     Verb.RESET: Mode.DISARMED,
+    Verb.LOWER: Mode.RELEASING,
 }
 """The mode each command is for; the others change none."""
 SO_ALREADY = {
@@ -98,10 +106,12 @@ def test_each_command_is_accepted_in_these_modes_only_and_leads_to_its_own(mode:
         assert decision == Decision()  # a fault that is disarmed stays latched
 
 
-def test_a_reset_holds_the_stroke_where_the_drive_still_does() -> None:
-    decision = decide(Mode.FAULT, Verb.RESET, Situation(drive_enabled=True))
+def test_a_reset_of_an_armed_rig_leads_to_hold_unless_its_drive_is_at_fault() -> None:
+    decision = decide(Mode.FAULT, Verb.RESET, Situation(armed=True))
     assert decision == Decision(event=Event.RESET_HELD)
     assert next_mode(Mode.FAULT, Event.RESET_HELD) is Mode.HOLD
+    faulted = Situation(armed=True, drive_faulted=True)
+    assert decide(Mode.FAULT, Verb.RESET, faulted) == Decision(event=Event.RESET_OFF)
 
 
 def test_what_a_trial_finds_is_put_on_record_and_so_are_gains() -> None:
@@ -130,17 +140,29 @@ def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
     assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.FAULT, Verb.RESET, Situation(stop_running=True)).refusal is Refusal.STOP_RUNNING
-    assert decide(Mode.FAULT, Verb.RESET, Situation(drive_enabled=True)).event is Event.RESET_HELD
+    assert decide(Mode.FAULT, Verb.RESET, Situation(armed=True)).event is Event.RESET_HELD
     assert decide(Mode.FAULT, Verb.RESET, Situation()).event is Event.RESET_OFF
     assert decide(Mode.DISARMED, Verb.RESET, Situation(drive_faulted=True)).refusal is Refusal.NONE
     unseen = Situation(drive_faulted=True, cause_present=True)
     assert decide(Mode.DISARMED, Verb.RESET, unseen).refusal is Refusal.CAUSE_PRESENT
+    assert decide(Mode.FAULT, Verb.RESET, Situation(carried=True)).refusal is Refusal.CARRIED
+    assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, slack=True)).refusal is Refusal.SLACK
+    assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, disagree=True)).refusal is Refusal.DISAGREE
+    assert decide(Mode.FAULT, Verb.LOWER, Situation(slack=True)).refusal is Refusal.ALREADY
+    assert decide(Mode.FAULT, Verb.LOWER, Situation(disagree=True)) == Decision(event=Event.LOWER)
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.HOLD, Verb.TARE, Situation()).refusal is Refusal.LOADED
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, needs_tight=True)).refusal is Refusal.SLACK
     assert decide(Mode.HOLD, Verb.RESPONSE, Situation(slack=True)).refusal is Refusal.SLACK
     assert decide(Mode.HOLD, Verb.RESPONSE, Situation(regulated=1.0)).refusal is Refusal.WRONG_MODE
     assert decide(Mode.COMPENSATING, Verb.RESPONSE, Situation(regulated=0.0)).refusal is Refusal.WRONG_MODE
+
+
+@pytest.mark.parametrize(("seconds", "fits"), [(1.0, True), (3600.0, True), (0.9, False), (3601.0, False),
+                                               (math.nan, False)])  # fmt: skip
+def test_a_carry_has_a_time_in_bounds(seconds: float, fits: bool) -> None:
+    refusal = decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=seconds)).refusal
+    assert refusal is (Refusal.NONE if fits else Refusal.OUT_OF_RANGE)
 
 
 @pytest.mark.parametrize("value", [50.0, 350.0])
@@ -175,17 +197,19 @@ def test_what_was_decided_is_not_changed_afterwards(value: object) -> None:
 def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission() -> None:
     nothing = Situation()
     assert not any((nothing.failed_checks, nothing.cause_present, nothing.stop_running, nothing.fault_latched))
-    assert not any((nothing.drive_enabled, nothing.drive_faulted, nothing.slack, nothing.unloaded, nothing.needs_tight))
+    assert not any((nothing.armed, nothing.drive_faulted, nothing.slack, nothing.unloaded, nothing.needs_tight))
     assert (nothing.wanted_n, nothing.measured_mm, nothing.target_min_n, nothing.target_max_n) == (0.0, 0.0, 0.0, 0.0)
 
 
 GIVEN = {
     Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n creep_s", Verb.IDENTIFY: "tight",
     Verb.CONFIRM_STROKE: "stroke_mm", Verb.RESPONSE: "regulated", Verb.MOVE: "move",
+    Verb.CARRY: "carry_s",
     Setting.ZERO: "zero_n zero_c zero_n_k second_zero_n",
     Setting.SCALE: "scale overdue second_scale", Setting.CREEP: "creep_1 creep_1_s creep_2 creep_2_s creep_held_s",
     Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",
     Setting.LAW_GAINS: "k_tension k_speed k_integral", Setting.MARGINS: "sensitivity_peak sensitivity_peak_error",
+    Setting.DIFFERS: "sensitivity_peak sensitivity_peak_error",
 }  # fmt: skip
 
 
@@ -236,7 +260,7 @@ def test_a_drive_that_dropped_out_is_not_switched_on_again_by_itself() -> None:
 @pytest.mark.parametrize("what", ["command", "trip", "stop"])
 def test_a_trial_is_answered_when_it_is_over_or_when_anything_comes_in_between(verb: Verb, what: str) -> None:
     machine = armed()
-    machine.command(2, verb, replace(READY, drive_enabled=True), 5)
+    machine.command(2, verb, replace(READY, armed=True), 5)
     assert (machine.trial, machine.answers) == (verb, [])
     if what == "command":
         machine.command(3, Verb.HOLD, READY, 6)
@@ -253,7 +277,7 @@ def test_the_first_fault_stays_named_until_reset() -> None:
     machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0), 6)
     machine.trip(Trip(Fault.DRIVE_FAULT, 1.0, 0.0), 7)
     assert machine.fault is Fault.CELL_STALE
-    machine.command(2, Verb.RESET, Situation(drive_enabled=True), 10)
+    machine.command(2, Verb.RESET, Situation(armed=True), 10)
     assert (machine.mode, machine.fault) == (Mode.HOLD, Fault.NONE)
 
 
@@ -273,7 +297,7 @@ def test_a_limit_may_have_the_tension_ramped_down_and_the_fault_stays_latched_to
     assert machine.trip(WARM, 10, slack=False)
     assert (machine.mode, machine.fault) == (Mode.RELEASING, Fault.LIMIT)
     assert not machine.trip(WARM, 11, slack=False), "it is under way"
-    latched = replace(READY, fault_latched=True, drive_enabled=True)
+    latched = replace(READY, fault_latched=True, armed=True)
     machine.command(3, Verb.TENSION, latched, 12)
     assert machine.answers[-1].refusal is Refusal.FAULT_LATCHED
     machine.on(Event.SLACK)
@@ -321,6 +345,111 @@ def test_an_action_grows_stronger_but_never_weaker_while_the_fault_stands() -> N
     assert (machine.mode, machine.power(51, **enabled)) == (Mode.DISARMED, Power.OFF)
 
 
+def parked() -> MachineLog:
+    machine = armed()
+    machine.park()
+    assert machine.power(2, drive_enabled=True, drive_faulted=False) is Power.OFF
+    return machine
+
+
+@pytest.mark.parametrize(("verb", "mode"), [(Verb.TENSION, Mode.TENSIONING), (Verb.RELEASE, Mode.RELEASING)])
+def test_a_parked_hold_is_left_once_the_motor_has_the_load(verb: Verb, mode: Mode) -> None:
+    machine = parked()
+    machine.command(2, verb, READY, 10)
+    assert (machine.mode, machine.pending, machine.answers) == (Mode.HOLD, verb, [])
+    machine.switch_on(11)
+    assert machine.power(12, drive_enabled=False, drive_faulted=False) is Power.ON
+    machine.follow_drive(True, 12)
+    assert (machine.mode, machine.answers) == (mode, [Answer(2, verb, Refusal.NONE)])
+    assert machine.power(13, drive_enabled=True, drive_faulted=False) is Power.ON
+
+
+@pytest.mark.parametrize("verb", [Verb.IDENTIFY, Verb.RESPONSE])
+def test_a_trial_that_moves_begins_once_the_motor_has_the_load(verb: Verb) -> None:
+    machine = parked()
+    machine.command(2, verb, READY, 10)
+    assert machine.trial is None
+    machine.follow_drive(True, 12)
+    assert (machine.trial, machine.answers) == (verb, [])
+    machine.park()
+    assert machine.answers == [Answer(2, verb, Refusal.ABORTED)]
+
+
+@pytest.mark.parametrize("verb", [Verb.TARE, Verb.CALIBRATE])
+def test_a_measurement_at_rest_needs_no_power(verb: Verb) -> None:
+    machine = parked()
+    machine.command(2, verb, READY, 10)
+    assert (machine.trial, machine.drive_wanted) == (verb, False)
+
+
+@pytest.mark.parametrize("verb", [Verb.HOLD, Verb.DISARM, Verb.RELEASE, Verb.TARGET])
+def test_a_command_meanwhile_leaves_the_load_on_the_brake(verb: Verb) -> None:
+    machine = parked()
+    machine.command(2, Verb.TENSION, READY, 10)
+    machine.command(3, verb, READY, 11)
+    machine.command(4, Verb.TENSION, READY, 12) if verb is Verb.TARGET else None
+    found = [(answer.id, answer.refusal) for answer in machine.answers]
+    if verb is Verb.TARGET:
+        assert found == [(3, Refusal.NONE), (4, Refusal.ALREADY)]
+    else:
+        assert (2, Refusal.ABORTED) in found
+        assert machine.mode is (Mode.DISARMED if verb is Verb.DISARM else Mode.HOLD)
+
+
+def test_a_ramp_down_of_a_parked_load_is_a_hold() -> None:
+    machine = parked()
+    assert machine.trip(WARM, 10, slack=False)
+    assert (machine.mode, machine.action) == (Mode.FAULT, Action.HOLD)
+    machine.command(3, Verb.RESET, replace(READY, armed=machine.armed), 11)
+    assert (machine.mode, machine.drive_wanted) == (Mode.HOLD, False)
+
+
+SLIPS = Trip(Fault.STROKE_MOVES, 0.3, 0.2, Action.POWER_OFF)
+
+
+def test_the_motor_carries_for_a_stated_time_though_the_slip_goes_on() -> None:
+    machine = parked()
+    machine.trip(SLIPS, 10)
+    machine.command(3, Verb.CARRY, READY, 20)
+    machine.switch_on(21)
+    assert not machine.trip(SLIPS, 22), "that is why the motor takes the load"
+    assert machine.power(22, drive_enabled=False, drive_faulted=False) is Power.ON
+    machine.follow_drive(True, 30)
+    assert (machine.mode, machine.fault, machine.carry_until_ns) == (Mode.FAULT, Fault.STROKE_MOVES, 30 + 60 * 10**9)
+    machine.lower(machine.carry_until_ns)
+    assert (machine.mode, machine.action) == (Mode.RELEASING, Action.RAMP_DOWN)
+    machine.on(Event.SLACK)
+    assert (machine.mode, machine.fault, machine.carry_until_ns) == (Mode.FAULT, Fault.STROKE_MOVES, 0)
+
+
+def test_any_other_trip_ends_a_carry() -> None:
+    machine = parked()
+    machine.trip(SLIPS, 10)
+    machine.command(3, Verb.CARRY, READY, 20)
+    machine.switch_on(21)
+    machine.follow_drive(True, 30)
+    assert machine.trip(Trip(Fault.DRIVE_NOT_FOLLOWING, 1.0, 0.5, Action.POWER_OFF), 40)
+    assert (machine.carry_until_ns, machine.drive_wanted) == (0, False)
+
+
+def test_a_carry_whose_drive_does_not_come_on_has_the_brake_closed() -> None:
+    machine = parked()
+    machine.trip(SLIPS, 10)
+    machine.command(3, Verb.CARRY, READY, 20)
+    machine.switch_on(21)
+    machine.follow_drive(False, 21 + ARM_LIMIT_NS)
+    assert machine.answers[-1].refusal is Refusal.DRIVE_TIMEOUT
+    assert machine.power(22 + ARM_LIMIT_NS + CUT_AFTER_NS, drive_enabled=True, drive_faulted=False) is Power.CUT
+
+
+def test_an_arming_drive_is_watched_as_in_hold() -> None:
+    machine = MachineLog()
+    assert machine.watched_mode is Mode.DISARMED
+    machine.command(1, Verb.ARM, READY, 0)
+    machine.switch_on(1)
+    assert (machine.mode, machine.watched_mode) == (Mode.DISARMED, Mode.HOLD)
+
+
 def test_stopping_holds_and_takes_no_more_commands() -> None:
     machine = armed()
     machine.command(2, Verb.TENSION, READY, 5)
@@ -349,7 +478,7 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         if kind == "verb":
             asked += 1
             latched = machine.fault is not Fault.NONE
-            situation = Situation(fault_latched=latched, drive_enabled=flag, wanted_n=300.0, target_max_n=400.0)
+            situation = Situation(fault_latched=latched, armed=flag, wanted_n=300.0, target_max_n=400.0)
             machine.command(asked, what, situation, t)
         elif kind == "event":
             machine.on(what)
@@ -359,7 +488,7 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         else:
             machine.follow_drive(what, t)
         if before is Mode.FAULT and machine.mode is not Mode.FAULT:
-            assert what is Verb.RESET
+            assert what is Verb.RESET or (machine.mode is Mode.RELEASING and machine.carry_until_ns)
         latched = machine.fault is not Fault.NONE
         assert machine.mode is not Mode.FAULT or latched
         assert not latched or machine.mode in (Mode.FAULT, Mode.RELEASING)

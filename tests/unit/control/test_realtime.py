@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.real_time
 REPORT = (
     "from rigctl.config.settings import LoopSettings; from rigctl.control import realtime;"
     "loop = LoopSettings(rate_hz=1000, priority={priority}, cpu={cpu}, lock_memory=True);"

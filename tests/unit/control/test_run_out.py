@@ -11,8 +11,10 @@ import can
 import pytest
 
 from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
+from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed, LastStroke
 from rigctl.control.inbox import Inbox
+from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
@@ -209,7 +211,8 @@ def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
     observer = Observer(
         settings, inbox, cast("Outbox", SimpleNamespace(synced_ns=0)), Machine(),
         TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
-        Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings), SignCheck(settings),
+        Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),
+        HeldTension(settings), SignCheck(settings), NoProbe(settings),
     )  # fmt: skip
     inbox.stroke_mm, inbox.rail_quality = 50.0, 0
     angle, k = math.radians(0.2), settings.plant.stiffness_n_mm

@@ -23,7 +23,7 @@ from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
-SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0)})
+SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0, drive_enable_output=0, drive_off_input=1)})
 ROWS = table(SETTINGS)
 MS = 1_000_000
 
@@ -45,6 +45,8 @@ NODES = {"tension cell": 2, "inclinometer": 3, "I/O node": 6, "cylinder drive": 
 BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.BUS_SILENT, "ns"): {"bus_age_ns": 16 * MS},
     (Fault.DRIVE_STALE, "ns"): {"drive_age_ns": 16 * MS},
+    (Fault.SYNC_LOST, "ns of a load"): {"sync_age_ns": 16 * MS},
+    (Fault.DRIVE_STALE, "ns of a load"): {"drive_age_ns": 16 * MS},
     (Fault.CELL_STALE, "ns"): {"cell_age_ns": 16 * MS},
     (Fault.INCLINATION_STALE, "ns"): {"inclination_age_ns": 101 * MS},
     (Fault.DRIVE_FAULT, ""): {"drive_faulted": True},
@@ -53,10 +55,20 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_NOT_FOLLOWING, "mm position"): {"stroke_error_mm": -0.51},
     (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
     (Fault.STROKE_NOT_HELD, "mm"): {"excursion_mm": -0.91},
-    (Fault.POSITION_DRIFTS, "mm"): {"doubt_mm": -0.6},
+    (Fault.POSITION_DRIFTS, "mm"): {"corrected_mm": -0.81},
+    (Fault.LOAD_SINKS, "N is falling"): {"sinks_n": 3.1},
+    (Fault.LOAD_SINKS, "N has fallen"): {"fallen_n": 3.1},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True},
+    (Fault.STROKE_MOVES, "mm/s slowly"): {"sink_mm_s": -0.021, "sink_left_mm": 40.0},
+    (Fault.CELL_FROZEN, ""): {"cell_frozen": True},
+    (Fault.ENCODER_STUCK, ""): {"encoder_stuck": True},
+    (Fault.DRIVE_MOTIONLESS, ""): {"drive_motionless": True},
+    (Fault.ROPE_CHANGED, ""): {"rope_changed": True},
+    (Fault.LOAD_UNSEEN, "N"): {"unseen_excess_n": 0.1},
+    (Fault.LOAD_UNSEEN, "N by current"): {"taken_up_excess_n": 0.1},
     (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -12.1},
-    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"unexplained_mm": 1.7},
+    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"stretched_mm": -0.81},
+    (Fault.STRETCH_UNEXPLAINED, "mm growing"): {"growing_mm": -0.61},
     (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
     (Fault.DRIVE_REFUSES, "it takes no commands from the bus (statusword bit 9, remote, is off)"): {
@@ -65,7 +77,9 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_REFUSES, "a limit of its own is active (statusword bit 11)"): {"drive_limited": True},
     (Fault.DRIVE_REFUSES, "it does not follow the commanded speed (statusword bit 12 is off)"): {"drive_ignores": True},
     (Fault.DRIVE_UNASKED, "the drive has been enabled by somebody else"): {"drive_unasked": True},
-    (Fault.DRIVE_UNASKED, "the drive stays enabled though it is told to go off"): {"drive_lingers": True},
+    (Fault.DRIVE_UNASKED, "the drive does not show that it has gone off though it is commanded to"): {
+        "drive_lingers": True
+    },
     (Fault.DRIVE_UNASKED, "mm/s the stroke moves under power"): {"speed_mm_s": 0.3, "drive_powered": True},
     **{
         (Fault.NODE_NOT_OPERATIONAL, f"ns {name} (node {node})"): {"heartbeats_t_ns": {node: -501 * MS}}
@@ -82,9 +96,13 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
     (Fault.SUPERVISION_LOST, ""): {"settings_lost": 1},
     (Fault.SUPERVISION_LOST, "commands"): {"disobeys": True},
+    (Fault.SUPERVISION_LOST, "drive"): {"unsupervised": 1},
+    (Fault.SYNC_LOST, "ns"): {"sync_age_ns": 16 * MS},
     (Fault.STROKE_JUMPED, "mm"): {"stroke_jump_mm": 0.6},
     (Fault.E_STOP, ""): {"e_stop": True},
     (Fault.E_STOP_UNSEEN, "ns"): {"io_age_ns": 101 * MS},
+    (Fault.ENABLE_IGNORED, ""): {"enable_ignored": True},
+    (Fault.INNOVATION, "N at once"): {"cell_step_n": 5.0},
     (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
@@ -129,11 +147,11 @@ def test_a_row_trips_in_its_modes_after_its_persistence(row: Row, mode: Mode) ->
     watch = WatchLog(SETTINGS)
     if mode not in row.modes:
         trips = [watch.trips(snapshot, mode, t * MS) for t in range(500)]
-        assert all(trip is None or (trip.fault, trip.limit) != (row.fault, row.sign * row.limit) for trip in trips)
+        assert all(trip is None or replace(trip, value=0.0) != replace(row.trip(0.0), value=0.0) for trip in trips)
         return
-    tripped = next(t for t in range(1100) if watch.trips(snapshot, mode, t * MS) is not None)
+    tripped = next(t for t in range(11_000) if watch.trips(snapshot, mode, t * MS) is not None)
     assert tripped * MS == row.persistence_ns
-    trip = watch.trips(snapshot, mode, 1200 * MS)
+    trip = watch.trips(snapshot, mode, 12_000 * MS)
     assert trip is not None
     assert trip.fault is row.fault
     assert (trip.value - trip.limit) * row.sign > 0.0
@@ -226,6 +244,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
+        ({"enable_ignored": True}, Check.ENABLE_IGNORED),
         ({"status_age_ns": 251 * MS}, Check.STATUS_STALE),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
@@ -310,7 +329,10 @@ def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
 def test_a_rig_without_an_io_node_watches_for_none() -> None:
     watch = WatchLog(PAPER)
     never = replace(GOOD, io_age_ns=1 << 62)
-    assert {row.fault for row in ROWS} - {row.fault for row in table(PAPER)} == {Fault.E_STOP_UNSEEN}
+    assert {row.fault for row in ROWS} - {row.fault for row in table(PAPER)} == {
+        Fault.E_STOP_UNSEEN,
+        Fault.ENABLE_IGNORED,
+    }
     assert watch.trips(never, Mode.COMPENSATING, 0) is None
     assert watch.present(never) is Fault.NONE
 

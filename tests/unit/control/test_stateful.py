@@ -122,11 +122,20 @@ class Rig(RuleBasedStateMachine):
         self.snapshot = replace(GOOD)
         self.faulted = False
         self.give(Verb.RESET, 0.0)
-        assert self.machine.fault is Fault.NONE or self.machine.stopping or self.machine.mode is not Mode.FAULT
+        machine = self.machine
+        silent = machine.action is Action.SILENCE  # its fault is shown until the loop has ended
+        kept = machine.stopping or silent or machine.mode is not Mode.FAULT or machine.carry_until_ns
+        assert machine.fault is Fault.NONE or kept
 
     @rule(action=st.sampled_from(list(Action)[1:]))
     def trips(self, action: Action) -> None:
         self.trip(Trip(Fault.LIMIT, 1.0, 0.0, action))
+
+    @rule()
+    @precondition(lambda self: self.machine.mode in (Mode.HOLD, Mode.FAULT))
+    def parks(self) -> None:
+        self.machine.park()
+        assert self.power() is not Power.ON or self.machine.taking
 
     @rule(ticks=st.integers(1, 250))
     def time_passes(self, ticks: int) -> None:
@@ -152,16 +161,18 @@ class Rig(RuleBasedStateMachine):
         failing = bool(self.watch.beyond(self.snapshot, Mode.HOLD)) or self.faulted
         situation = Situation(
             failed_checks=int(failing), cause_present=present is not Fault.NONE,
-            fault_latched=machine.fault is not Fault.NONE, drive_enabled=self.enabled and machine.drive_wanted,
+            fault_latched=machine.fault is not Fault.NONE, armed=machine.armed,
             drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, wanted_n=value,
-            measured_mm=value, needs_tight=bool(value), target_min_n=50.0, target_max_n=350.0,
+            measured_mm=value, carry_s=value, carried=machine.carry_until_ns > 0,
+            needs_tight=bool(value), target_min_n=50.0, target_max_n=350.0,
         )  # fmt: skip
         machine.command(self.asked, verb, situation, self.t_ns)
         ours = [answer for answer in machine.answers[answers:] if answer.id == self.asked]
-        if verb is Verb.ARM and not ours:
-            assert before is Mode.DISARMED
-            assert not failing
+        if machine.pending is verb and not ours:
+            assert verb is not Verb.ARM or (before is Mode.DISARMED and not failing)
+            assert before is not Mode.DISARMED or verb is Verb.ARM
             self.on_allowed = True
+            machine.switch_on(self.t_ns)
         accepted = bool(ours) and ours[0].refusal is Refusal.NONE
         if verb is Verb.RESET and accepted:
             assert present is Fault.NONE
@@ -172,13 +183,13 @@ class Rig(RuleBasedStateMachine):
     def trip(self, trip: Trip) -> None:
         """The strongest trip stands: a weaker one's action changes nothing afterwards."""
         machine = self.machine
-        mode, fault, action = machine.mode, machine.fault, machine.action
+        mode, fault, action, powered = machine.mode, machine.fault, machine.action, machine.drive_wanted
         changed = machine.trip(trip, self.t_ns, slack=self.slack)
         assert machine.fault is not Fault.NONE
         assert fault in (Fault.NONE, machine.fault)
         if fault is not Fault.NONE:
             assert machine.action >= action
-        ramps = trip.action is Action.RAMP_DOWN and not self.slack and mode in (Mode.HOLD, *MOVING)
+        ramps = trip.action is Action.RAMP_DOWN and not self.slack and mode in (Mode.HOLD, *MOVING) and powered
         if changed:
             assert machine.mode is (Mode.RELEASING if ramps else Mode.FAULT)
             assert not machine.arming
@@ -220,8 +231,9 @@ class Rig(RuleBasedStateMachine):
         machine = self.machine
         if fault is not Fault.NONE and not self.reset_given:
             assert machine.fault is fault, "the first names it"
-            assert machine.action >= action
-            assert mode is not Mode.FAULT or machine.mode is Mode.FAULT
+            eased = machine.taking or machine.carry_until_ns  # by CARRY or LOWER
+            assert eased or machine.action >= action
+            assert mode is not Mode.FAULT or machine.mode is (Mode.RELEASING if eased else Mode.FAULT) or eased
         self.before, self.reset_given = (machine.mode, machine.fault, machine.action), False
 
     @invariant()
@@ -240,7 +252,7 @@ class Rig(RuleBasedStateMachine):
             assert power is not Power.ON or machine.arming
         if power is Power.ON:
             assert self.on_allowed
-            assert machine.arming or self.enabled, "a drive that dropped out stays out"
+            assert machine.taking or self.enabled, "a drive that dropped out stays out"
         if machine.mode is Mode.FAULT and machine.action >= Action.QUICK_STOP:
             assert power in (Power.QUICK_STOP, Power.CUT, Power.RESET)
         if power is Power.CUT:

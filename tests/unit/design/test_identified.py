@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
 import pytest
 
+from rigctl.commission.identification import Drive, Rope
+from rigctl.commission.plant_fit import PlantFit
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
+from rigctl.control.estimator import filter_model
 from rigctl.design import identified
+from rigctl.design.closed_loop import controller
+from rigctl.design.gains import design, filter_gain
 from rigctl.design.identified import Identified, NotIdentifiedError, Uncertain
-from rigctl.design.margins import design_and_check
+from rigctl.design.margins import design_and_check, frequency_grid, margins_over, plant_responses
 from rigctl.ipc.ledger import Entry, entry, entry_digest
 from tests.builders.identifications import NOON_NS, response, steps
 
@@ -51,13 +57,26 @@ def test_every_corner_is_a_member_with_every_k_m(rig: Rig) -> None:
         1000.0,
         300.0,
     }  # the old list above the bound, and the bound
-    assert len(found.members) == 3 * (8 + 1)
+    assert len(found.members) == 3 * (16 + 1)
     stiffness = settings.plant.stiffness_n_mm
     assert {round(plant.k_scale * stiffness, 6) for plant in found.members} == {5.82, 6.0, 6.18}
     assert {round(plant.lag_scale * 20.0, 6) for plant in found.members} == {18.0, 20.0, 22.0}
     # 2 ms and what the cell is late by, 0.5 ms more or less: whole ticks before, the rest as a fraction of a tick
     assert {round(plant.delay_scale * 2.0, 6) for plant in found.members} == {1.8, 2.3, 2.8}
     assert {plant.delay_ticks for plant in found.members} == {1, 2}
+
+
+def test_the_loss_found_is_a_corner_and_the_file_s_chain_has_it(rig: Rig) -> None:
+    settings = rig(plant={"spring_damping_n_s_mm": 0.0042, "rope_damping_n_s_mm": 0.22})
+    known = one([response(settings, plant={"damping_n_s_mm": {"value": 0.05, "error": 0.001}})], settings)
+    members = identified.family(settings, known).members
+    assert {round(plant.loss_n_s_mm, 6) for plant in members} == {0.025, 0.05, 0.075}
+    assert identified.believing(settings, known).plant.damping_n_s_mm == pytest.approx(0.05, rel=1e-9)
+    less = replace(known, damping_n_s_mm=Uncertain(1e-6, 1e-7))  # less than the file's rope alone would lose
+    assert identified.believing(settings, less).plant.damping_n_s_mm == pytest.approx(1e-6, rel=1e-9)
+    without = one([steps(settings)], settings)
+    losses = {round(plant.loss_n_s_mm, 9) for plant in identified.family(settings, without).members}
+    assert losses == {0.0, round(settings.plant.damping_n_s_mm, 9), round(2.0 * settings.plant.damping_n_s_mm, 9)}
 
 
 def test_an_identified_k_m_replaces_the_list_and_none_keeps_it(rig: Rig) -> None:
@@ -92,6 +111,28 @@ def test_newer_figures_replace_older_ones_and_missing_ones_are_kept(rig: Rig) ->
     assert found.when == old.when  # as old as its oldest figure
     assert set(found.entries) == {entry_digest(old), entry_digest(new)}
     assert Identified.of(found.as_dict()) == found
+
+
+def test_a_sensitivity_that_differs_contradicts_until_the_rig_is_identified_again(rig: Rig) -> None:
+    settings = rig()
+    first = response(settings, 3.0)
+    found = one([first], settings)
+    differs = {"hz": 60.0, "measured": 1.9, "error": 0.02, "low": 1.1, "high": 1.5}
+
+    def window(days: float, worst: dict[str, float] | None) -> Entry:
+        t_ns = NOON_NS - round(days * 86_400e9)
+        return entry(settings, "margins", "gateway", t_ns, before={}, after={}, figures={"difference": worst})
+
+    assert identified.contradicted(found, [first, window(2.0, None)], settings) is None
+    seen = [first, window(2.0, differs)]
+    said = identified.contradicted(found, seen, settings)
+    assert said is not None
+    assert "measured |S| 1.90 +- 0.02 at 60 Hz, the design had 1.10 to 1.50" in said
+    assert identified.differing(seen, None) == said, "gains without an identification are barred too"
+    again = [*seen, response(settings, 1.0)]
+    assert identified.differing(again, one(again, settings)) is None, "it has been identified since"
+    assert identified.differing(again, found) is not None
+    assert identified.differing([*seen, window(1.0, None)], found) is None, "a later minute agrees"
 
 
 def test_each_tension_and_each_spring_is_an_operating_point_of_its_own(rig: Rig) -> None:
@@ -225,3 +266,62 @@ def test_a_response_defines_the_family_and_older_steps_only_what_it_lacks(rig: R
     assert found.stiffness_n_mm.value == 6.0
     assert found.lag_s.value == 0.03
     assert found.when == older.when
+
+
+FOUND_IN_FAMILY = {"stiffness_n_mm", "damping_n_s_mm", "lag_s", "delay_s", "sensor_delay_s", "mechanism_n_mm",
+                   "mechanism_damping"}  # fmt: skip
+OF_THE_FIT = {"model", "mechanism_above", "misfit"}
+BY_STEPS = {"lag_s", "delay_s", "gain", "speed_age_s", "stiffness_n_mm", "backlash_mm", "stroke"}
+
+
+def test_whatever_identification_finds_is_in_the_family_or_has_a_bound() -> None:
+    found = {field.name for field in fields(PlantFit)} - OF_THE_FIT
+    assert found - FOUND_IN_FAMILY <= set(identified.LEFT_OUT)
+    steps_find = {field.name for kind in (Drive, Rope) for field in fields(kind)}
+    assert steps_find == BY_STEPS, "a new quantity needs a place in the family or a bound"
+
+
+@pytest.mark.parametrize(("spring", "k_m"), [(6.0, None), (34.0, None), (34.0, 12.0)])
+def test_what_is_left_out_changes_ms_by_less_than_is_stated(rig: Rig, spring: float, k_m: float | None) -> None:
+    settings = rig(plant={"spring_n_mm": spring})
+    values: dict[str, Any] = {
+        "stiffness_n_mm": {"value": settings.plant.stiffness_n_mm, "error": 0.01},
+        "damping_n_s_mm": {"value": 0.05, "error": 0.001},
+    }
+    if k_m is not None:
+        values["mechanism_n_mm"] = {"value": k_m, "error": 0.5, "above": None}
+    known = one([response(settings, plant=values)], settings)
+    used = identified.believing(settings, known)
+    model, gains = filter_model(used), design(used)
+    law = controller(model, gains, filter_gain(model))
+
+    def ms(there: RigSettings, gain: float = 1.0, age_ticks: float = 0.0) -> float:
+        members = list(identified.family(there, known).members)
+        grid = frequency_grid(members, model.period_s)
+        late = gain * np.exp(-2j * np.pi * grid * model.period_s * age_ticks)
+        plants = [np.stack([p[0], p[1] * late, p[2]]) for p in plant_responses(members, grid, model.period_s)]
+        return max(one.ms_worst for one in margins_over(members, law, grid, model.period_s, plants))
+
+    base, bound = ms(used), identified.LEFT_OUT
+    for factor in (0.8, 1.2):
+        other = changed(used, {"plant.payload_kg": factor * used.plant.payload_kg})
+        assert ms(other) - base < bound["payload_kg"]
+    assert max(ms(used, gain) - base for gain in (0.99, 1.01)) < bound["gain"]
+    assert ms(used, age_ticks=2.0) - base < bound["speed_age_s"]
+
+
+def test_a_mechanism_found_to_be_damped_little_is_judged_with_less(rig: Rig) -> None:
+    """At 0.5 % of critical a stiff spring has a larger Ms by 0.1 and more than at the 2 % that are assumed."""
+    settings = rig(plant={"spring_n_mm": 34.0})
+    values: dict[str, Any] = {
+        "stiffness_n_mm": {"value": settings.plant.stiffness_n_mm, "error": 0.01},
+        "mechanism_n_mm": {"value": 300.0, "error": 3.0, "above": None},
+    }
+    peaks = []
+    for ratio in (None, 0.02, 0.006):
+        damped = {} if ratio is None else {"mechanism_damping": {"value": ratio, "error": 0.0005}}
+        known = one([response(settings, plant={**values, **damped})], settings)
+        used = identified.believing(settings, known)
+        assert (known.mechanism_damping is None) == (ratio is None)
+        peaks.append(design_and_check(used, identified.family(used, known)).ms_max)
+    assert peaks[0] < peaks[1] < peaks[2]

@@ -10,7 +10,7 @@ from rigctl.control.estimator import filter_model
 from rigctl.control.move_learning import learning_filter
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import controller
-from rigctl.design.gains import DesignError, design, filter_gain
+from rigctl.design.gains import OPEN, QUIET, DesignError, design, filter_gain, filter_gains
 from rigctl.design.learning_margin import LearningMargin, learning_margin, low_pass
 from rigctl.design.margins import design_and_check
 from rigctl.design.plant_family import Member
@@ -23,7 +23,7 @@ def margin(settings: RigSettings = SETTINGS, members: list[Member] | None = None
     settings = settings.model_copy(update={"learning": LEARNING.model_copy(update=section)})
     gains, model = design(settings), filter_model(settings)
     law = controller(model, gains, filter_gain(model))
-    return learning_margin(settings, gains, [law], members or plant_family.family(settings))
+    return learning_margin(settings, gains, law, None, members or plant_family.family(settings))
 
 
 def test_on_the_plant_of_the_file_one_move_takes_the_rate_away() -> None:
@@ -47,6 +47,18 @@ def test_settings_that_do_not_converge_are_refused_in_one_line() -> None:
     bad = stiff.model_copy(update={"learning": LEARNING.model_copy(update={"cutoff_hz": 5.0})})
     with pytest.raises(DesignError, match=r"^learning: \|Q \(1 - L P\)\| = 1\.\d\d at .* lower learning.cutoff_hz"):
         design_and_check(bad)
+
+
+def test_every_level_of_the_filter_counts() -> None:
+    settings = changed(SETTINGS, estimator={"quiet_disturbance_walk_mm_s": 3.0})
+    settings = settings.model_copy(update={"learning": LEARNING})
+    gains, model, own = design(settings), filter_model(settings), [plant_family.member(settings, 60.0)]
+    of_setting = filter_gains(model)
+    quiet, opened = (controller(model, gains, of_setting[name]) for name in (QUIET, OPEN))
+    every = learning_margin(settings, gains, opened, quiet, own).factor
+    blends = [of_setting[QUIET] + level * (of_setting[OPEN] - of_setting[QUIET]) for level in np.linspace(0.0, 1.0, 21)]
+    singles = [learning_margin(settings, gains, controller(model, gains, one), None, own).factor for one in blends]
+    assert every == pytest.approx(max(singles), rel=1e-3)
 
 
 def test_the_low_pass_is_half_at_its_cutoff_and_has_no_phase() -> None:

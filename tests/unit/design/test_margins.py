@@ -18,9 +18,16 @@ from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import closed_loop, controller
-from rigctl.design.gains import design, filter_gain
-from rigctl.design.margins import classical_margins, design_and_check, frequency_grid, margins_over
-from rigctl.design.plant_family import ComplexArray, Member
+from rigctl.design.gains import design, filter_gain, filter_gains
+from rigctl.design.margins import (
+    classical_margins,
+    design_and_check,
+    frequency_grid,
+    margins_over,
+    predicted_band,
+    responses,
+)
+from rigctl.design.plant_family import ComplexArray, Family, Member, member
 from tests.builders.paths import ROOT
 
 Rig = Callable[..., RigSettings]
@@ -214,3 +221,24 @@ def test_verdict_is_plain_json_with_rigid_and_infinite_as_null(rig: Rig) -> None
     assert read["ms_max"] is None
     assert read["margins"][0]["k_m"] is None
     assert set(read["margins"][0]) >= {"k_m", "k_scale", "delay_scale", "ms", "gm_db", "pm_deg", "dm_ms"}
+
+
+@pytest.mark.parametrize("estimator", [{}, {"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3}])
+def test_the_band_holds_every_member_at_every_level(rig: Rig, estimator: dict[str, float]) -> None:
+    settings = rig(estimator=estimator)
+    model, gains, hz = filter_model(settings), design(settings), np.geomspace(1.0, 100.0, 15)
+    members = (member(settings, None, 1.2, 2), member(settings, 60.0, 0.8, 1))
+    low, high = predicted_band(settings, gains, Family("two", members), hz)
+    of_setting = filter_gains(model)
+    opened = of_setting["open"]
+    quiet = of_setting.get("quiet", opened)
+    moduli = [
+        np.abs(answer.s_input)
+        for level in np.linspace(0.0, 1.0, 41) ** 3
+        for answer in responses(
+            list(members), controller(model, gains, quiet + level * (opened - quiet)), hz, model.period_s
+        )
+    ]
+    assert (np.max(moduli, axis=0) <= high + 1e-9).all(), "exact: no level is beyond it"
+    np.testing.assert_allclose(np.max(moduli, axis=0), high, rtol=2e-3)
+    np.testing.assert_allclose(np.min(moduli, axis=0), low, rtol=1e-2)

@@ -9,7 +9,9 @@ import pytest
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
-from rigctl.design.plant_family import MECHANISM_DAMPING, family, member
+from rigctl.design.gains import design
+from rigctl.design.margins import judge
+from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Family, family, member, sampled
 
 Rig = Callable[..., RigSettings]
 
@@ -51,3 +53,57 @@ def test_family_has_every_combination_and_the_mechanism_in_the_file(rig: Rig) ->
 
 def test_mechanism_resonates_where_the_domain_notes_say(rig: Rig) -> None:
     assert member(rig(), 60.0).resonances_hz == pytest.approx((7.1, 7.5), abs=0.05)
+
+
+@pytest.mark.parametrize(("spring", "rope"), [(6.0, 1000.0), (34.0, 1000.0), (100.0, 1000.0)])
+def test_one_stiffness_and_one_loss_stand_for_the_chain_of_spring_and_rope(
+    rig: Rig, spring: float, rope: float
+) -> None:
+    plant = rig(
+        plant={"spring_n_mm": spring, "rope_n_mm": rope, "spring_damping_n_s_mm": 0.0042, "rope_damping_n_s_mm": 0.22}
+    ).plant
+    s = 2j * np.pi * np.geomspace(0.1, 300.0, 50)
+    parts = [plant.spring_damping_n_s_mm * s + spring, plant.rope_damping_n_s_mm * s + rope]
+    chain = parts[0] * parts[1] / (parts[0] + parts[1])
+    one = plant.stiffness_n_mm + plant.damping_n_s_mm * s
+    assert np.abs(np.abs(one / chain) - 1.0).max() < 0.01
+    assert np.abs(np.degrees(np.angle(one / chain))).max() < 1.0
+
+
+@pytest.mark.parametrize("spring_n_mm", [6.0, 13.0, 34.0])
+def test_the_loss_that_the_assumed_family_leaves_out_lowers_ms(rig: Rig, spring_n_mm: float) -> None:
+    """The bound: from none to `LOSS_SCALE` times a steel spring's, on every plant of the family, none is the worst."""
+    ratio = 2.0 * 0.005 * np.sqrt(spring_n_mm * 0.030)  # half a percent of critical, 30 kg
+    settings = rig(plant={"spring_n_mm": spring_n_mm, "spring_damping_n_s_mm": ratio, "rope_damping_n_s_mm": 0.22})
+    gains = design(settings)
+    peaks = []
+    for scale in (0.0, 0.25, 0.5, 1.0, LOSS_SCALE):
+        members = [
+            sampled(
+                settings, p.k_m, p.k_scale, p.lag_scale, p.delay_scale, p.delay_ticks,
+                scale * p.k_scale * settings.plant.damping_n_s_mm,
+            )
+            for p in family(settings)
+        ]  # fmt: skip
+        peaks.append(judge(settings, gains, family=Family("with a loss", tuple(members))).ms_max)
+    assert peaks[0] == judge(settings, gains).ms_max == max(peaks)
+
+
+@pytest.mark.parametrize("cell_hz", [None, 500.0])
+@pytest.mark.parametrize("k_m", [None, 60.0])
+def test_a_loss_and_the_low_pass_of_the_cell_are_in_the_response(
+    rig: Rig, k_m: float | None, cell_hz: float | None
+) -> None:
+    settings = rig(loop={"rate_hz": 4000})
+    dt, hz = 1.0 / 4000, np.array([0.5, 3.0, 7.5, 20.0, 80.0])
+    s, k, c, m = 2j * np.pi * hz, settings.plant.stiffness_n_mm, 0.05, 0.030
+    stretch = k + c * s
+    if k_m is not None:
+        own = m * s**2 + 2 * MECHANISM_DAMPING * np.sqrt(k_m * m) * s + k_m
+        stretch = stretch * own / (own + stretch)
+    late = np.exp(-s * (0.002 + dt / 2)) / (0.02 * s + 1)
+    seen = 1.0 if cell_hz is None else 1.0 / (s / (2 * np.pi * cell_hz) + 1.0)
+    tension, _, disturbance = sampled(settings, k_m, 1.0, 1.0, 1.0, 8.0, c, cell_hz).response(np.exp(s * dt))
+    assert np.allclose(tension, stretch / s * late * seen, rtol=1e-2)
+    held = np.exp(-s * dt / 2) * np.sinc(hz * dt)
+    assert np.allclose(disturbance[:-1], (stretch / s * held)[:-1], rtol=2e-2)  # its own loss acts at once, not held

@@ -9,11 +9,11 @@ import pytest
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
-from rigctl.design.closed_loop import closed_loop
+from rigctl.design.closed_loop import closed_loop, controller
 from rigctl.design.gains import OPEN, QUIET, design, filter_gains
-from rigctl.design.margins import controllers, design_and_check
+from rigctl.design.margins import controllers, design_and_check, frequency_grid, margins_over
 from rigctl.design.plant_family import Family, member
-from rigctl.design.switching import _joined, circle_margins, common_lyapunov
+from rigctl.design.switching import _joined, circle_margin, common_lyapunov, level_gains
 
 Rig = Callable[..., RigSettings]
 QUIETER = {"quiet_disturbance_walk_mm_s": 3.0}
@@ -30,8 +30,8 @@ def test_the_criterion_is_that_of_the_closed_loop(rig: Rig, k_m: float | None) -
     b, c = _joined(plant, laws[QUIET], laws[OPEN])
     np.testing.assert_allclose(a + np.outer(b, c), closed_loop(plant, laws[OPEN]).a, atol=1e-9)
     direct = min(1.0 - float((c @ np.linalg.solve(at * np.eye(len(a)) - a, b)).real) for at in z)
-    (found,) = circle_margins([plant.response(z)], laws[QUIET], laws[OPEN], hz, model.period_s)
-    assert found == pytest.approx(direct, rel=1e-6)
+    (gain,) = level_gains([plant.response(z)], laws[QUIET], laws[OPEN], hz, model.period_s)
+    assert circle_margin(gain) == pytest.approx(direct, rel=1e-6)
 
 
 def test_one_lyapunov_function_falls_at_every_blend_of_the_settings(rig: Rig) -> None:
@@ -50,7 +50,9 @@ def test_one_lyapunov_function_falls_at_every_blend_of_the_settings(rig: Rig) ->
 
 def test_the_gate_judges_every_setting_and_the_change_between_them(rig: Rig) -> None:
     found = design_and_check(rig(estimator=QUIETER))
-    assert {setting.name for setting in found.settings} == {"open", "quiet", "half open"}
+    *ends, between = found.settings
+    assert [setting.name for setting in ends] == ["open", "quiet"]
+    assert between.name.endswith(" % open")
     assert found.ms_max == max(setting.ms_max for setting in found.settings)
     assert found.switching is not None
     assert 0.0 < found.switching < 1.0
@@ -59,6 +61,31 @@ def test_the_gate_judges_every_setting_and_the_change_between_them(rig: Rig) -> 
     assert quiet is not None
     assert found.performance is not None
     assert found.performance.command_noise_mm_s == quiet.command_noise_mm_s
+
+
+@pytest.mark.parametrize(
+    ("quieter", "within"), [(QUIETER, False), ({"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3}, True)]
+)
+def test_ms_is_that_of_the_worst_of_all_levels(rig: Rig, quieter: dict[str, float], within: bool) -> None:
+    """Against every hundredth level by brute force; with the second setting the worst level is between the two."""
+    settings = rig(estimator=quieter)
+    model, gains = filter_model(settings), design(settings)
+    members = [member(settings, None, 1.2, 2), member(settings, 60.0, 1.0, 1)]
+    found = design_and_check(settings, Family("two", tuple(members)))
+    of_setting, grid = filter_gains(model), frequency_grid(members, model.period_s)
+    quiet, opened = of_setting[QUIET], of_setting[OPEN]
+    peaks = []
+    for level in np.linspace(0.0, 1.0, 101):
+        law = controller(model, gains, quiet + level * (opened - quiet))
+        peaks.append([one.ms_worst for one in margins_over(members, law, grid, model.period_s)])
+    brute = np.array(peaks)
+    for at, one in enumerate(found.margins):
+        assert brute[:, at].max() <= one.ms_worst * (1.0 + 1e-9)
+        assert one.ms_worst == pytest.approx(brute[:, at].max(), rel=2e-4)
+    worst = brute.max(axis=1)
+    assert (worst.max() > max(worst[0], worst[-1]) + 1e-3) == within, "the level of the worst Ms is an end or is not"
+    level = float(found.settings[-1].name.removesuffix(" % open"))
+    assert level == pytest.approx(int(np.argmax(worst)), abs=1.0)
 
 
 def test_settings_that_differ_too_much_are_refused(rig: Rig) -> None:

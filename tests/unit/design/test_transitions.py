@@ -19,7 +19,8 @@ from tests.builders.rig_bench import SETTINGS
 
 def entry(stiffness_n_mm: float, **changes: object) -> EntryLoop:
     values = {key.replace("__", "."): value for key, value in changes.items()}
-    settings = changed(SETTINGS, {"plant.spring_n_mm": None, "plant.rope_n_mm": stiffness_n_mm, **values})
+    spring = {"plant.spring_n_mm": None, "plant.rope_n_mm": stiffness_n_mm, "plant.rope_damping_n_s_mm": 0.0}
+    settings = changed(SETTINGS, {**spring, **values})
     return EntryLoop(settings, design(settings), Family("test", (sampled(settings, None, 1.0, 1.0, 1.0, 2.0),)))
 
 

@@ -88,7 +88,7 @@ def test_the_identified_plant_is_designed_for_and_used_at_the_next_start(
         assert "over the family of plants identified 2026-10-30 (limit 1.6); gains of gains.yaml" in found.verdict()
     text = file.with_name("gains.yaml").read_text()
     assert design_while_running(used, text, "gains.yaml", NOW).family == "identified 2026-10-30"
-    with pytest.raises(GainFileError, match=r"plant\.spring_n_mm was 6\.137"):
+    with pytest.raises(GainFileError, match=r"replace plant\.spring_n_mm.*: name the file as design\.gains_file"):
         design_while_running(settings, text, "gains.yaml", NOW)
 
 

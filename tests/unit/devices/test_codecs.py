@@ -234,6 +234,14 @@ def test_a_drive_in_increments_is_read_and_commanded_in_them() -> None:
 
 
 @pytest.mark.parametrize(
+    ("preload_n", "per_mille"), [(0.0, 0), (300.0, 200), (-300.0, -200), (1600.0, 1000), (-1600.0, -1000)]
+)
+def test_a_preload_goes_out_per_mille_of_the_rated_torque_and_ends_there(preload_n: float, per_mille: int) -> None:
+    encode = codecs.command_encoder(od.DRIVE_RPDO_PRELOAD, UNITS, 1500.0)
+    assert struct.unpack("<Hih", encode(0x0F, 2.5, preload_n)) == (0x0F, 2500, per_mille)
+
+
+@pytest.mark.parametrize(
     ("base", "places"),
     [(0x180, (0x1800, 0x1A00)), (0x480, (0x1803, 0x1A03)), (0x200, (0x1400, 0x1600)), (0x300, (0x1401, 0x1601))],
 )

@@ -25,6 +25,7 @@ from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.command_request import Request
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 assert PAPER.calibration is not None
@@ -55,7 +56,7 @@ def reply(reading_n: float = math.nan, duration_s: float = math.nan, t_ns: int =
 def filed(service: CalibrationService, request: Request = TARE, mean_n: float = 1.5) -> Filed:
     done: queue.SimpleQueue[Filed] = queue.SimpleQueue()
     service.file(request, reply(mean_n, 6.9), done.put)
-    return done.get(timeout=10.0)
+    return done.get(timeout=patience_s())
 
 
 def test_a_tare_is_on_record_before_it_is_in_force(
@@ -128,7 +129,7 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
         reply(duration_s=6.9, t_ns=15 * S),
         done.put,
     )
-    assert done.get(timeout=10.0).text == "seen"
+    assert done.get(timeout=patience_s()).text == "seen"
     assert seen == [t_s * S for t_s in range(9, 16)]
 
 

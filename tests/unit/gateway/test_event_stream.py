@@ -7,21 +7,16 @@ from typing import Any, cast
 
 import msgspec
 import pytest
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from rigctl.config import rig_file as config
 from rigctl.control.events import Kind
 from rigctl.gateway.published_position import Cursor
-from rigctl.gateway.signer import Signer
 from rigctl.gateway.streams import UNRECORDED_NS, EventStream
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.keys import SEVERITIES
-from rigctl.wire.proof import SIGNATURE_BYTES
 from tests.builders.paths import ROOT
 
 MS = 1_000_000
-STAMP_BYTES = 8
-SIGNER = Signer(Ed25519PrivateKey.generate())
 
 
 class Publisher:
@@ -32,10 +27,7 @@ class Publisher:
     def __init__(self) -> None:
         self.seqs: list[int] = []
 
-    key_expr = "rigctl/paper_rig/event/info"
-
-    def put(self, payload: bytes, attachment: bytes) -> None:
-        assert len(attachment) == STAMP_BYTES + SIGNATURE_BYTES
+    def put(self, payload: bytes) -> None:
         self.seqs.append(msgspec.json.decode(payload)["seq"])
 
 
@@ -50,7 +42,7 @@ def test_an_event_waits_for_the_record_of_its_tick_but_not_for_ever(runtime: Run
     cursor = Cursor(runtime.gateway_cursor, runtime.records.path, 0)
     publisher, writer = Publisher(), runtime.events.writer()
     publishers = cast("Any", dict.fromkeys(SEVERITIES, publisher))
-    stream = EventStream(publishers, runtime.events.reader(), runtime.notes.reader(), cursor, 0, SIGNER)
+    stream = EventStream(publishers, runtime.events.reader(), runtime.notes.reader(), cursor, 0)
 
     def published(now_ns: int, recorded_ns: int) -> list[int]:
         stream.read(0, now_ns, recorded_ns)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pathlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -19,6 +19,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
 from rigctl.control.checks import HOST_CHECKS
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Setting, Verb
 from rigctl.control.safety import Action, table
 from rigctl.control.trials import AVERAGED_S
@@ -30,8 +31,8 @@ from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
-LIMIT_S = 10.0
 S = 1_000_000_000
 
 
@@ -107,13 +108,6 @@ class Rig:
         self._replies.write(*REPLY.values(**values))
 
 
-def until(true: Callable[[], object]) -> None:
-    end = time.monotonic() + LIMIT_S
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.002)
-
-
 @pytest.fixture(autouse=True)
 def _shared_memory(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The client finds the keys of this run in a folder of shared memory, which is this test's own."""
@@ -140,7 +134,7 @@ def test_a_tare_is_measured_recorded_and_in_force_before_it_is_answered(rig: Rig
     (entry,) = ledger.read(rig.settings)
     assert not answer.done()
     rig.answer(setting)
-    found = answer.result(LIMIT_S)
+    found = answer.result(patience_s())
     assert found["accepted"]
     assert found["entry"] == msgspec.to_builtins(entry)
     log = rig.logged(2)  # the command as given, and its answer
@@ -150,7 +144,7 @@ def test_a_tare_is_measured_recorded_and_in_force_before_it_is_answered(rig: Rig
 def test_a_command_without_an_entry_is_logged_without_one(rig: Rig) -> None:
     answer = rig.ask("disarm")
     rig.answer(rig.order(Verb.DISARM))
-    assert answer.result(LIMIT_S)["accepted"]
+    assert answer.result(patience_s())["accepted"]
     given, answered = rig.logged(2)
     assert (given["answered"], given["id"]) == (0, answered["id"])
     assert (answered["answered"], answered["entry"]) == (1, b"")
@@ -163,19 +157,19 @@ def test_a_reply_to_a_command_of_an_earlier_gateway_is_nobodys(rig: Rig) -> None
     stranger["id"] = 7
     rig.answer(stranger)
     rig.answer(slot)
-    assert answer.result(LIMIT_S)["accepted"]
+    assert answer.result(patience_s())["accepted"]
 
 
 def test_the_holder_gets_a_command_through_a_flood_of_others(rig: Rig) -> None:
     first = rig.ask("disarm")
     rig.answer(rig.order(Verb.DISARM))
-    assert first.result(LIMIT_S)["accepted"]
+    assert first.result(patience_s())["accepted"]
     later_ns = time.monotonic_ns() + 3600 * S  # the bucket fills with the time since the newest command: not at all
     why = [rig.gateway._commands._rate.admit(f"user{number}", later_ns) for number in range(ALL_BURST + 1)]
     assert "too many commands" in why[-1]
     answer = rig.ask("disarm")
     rig.answer(rig.order(Verb.DISARM))
-    assert answer.result(LIMIT_S)["accepted"]
+    assert answer.result(patience_s())["accepted"]
 
 
 def test_the_gateway_waits_longer_than_the_loop_may_take() -> None:
@@ -204,12 +198,24 @@ def test_a_state_without_a_loop_has_no_causes_and_one_with_it_says_since_when(ri
     assert cause["since_wall_ns"] - began_ns == pytest.approx(before, abs=60 * S)
 
 
+def test_the_state_names_the_culprit_of_the_latched_fault_until_its_reset(rig: Rig) -> None:
+    assert rig.state()["culprit"] is None
+    events = rig.runtime.events.writer()
+    events.write(time.monotonic_ns(), Kind.TRIP, Fault.E_STOP, Action.QUICK_STOP, 1.0, 0.0, b"")
+    rig.record(mode=Mode.FAULT, fault=Fault.E_STOP)
+    found = rig.state()["culprit"]
+    assert (found["parts"], found["follows"]) == (["an operator"], ["E_STOP"])
+    events.write(time.monotonic_ns(), Kind.RESET, Fault.E_STOP, 0, 0.0, 0.0, b"")
+    rig.record(mode=Mode.HOLD)
+    assert rig.state()["culprit"] is None
+
+
 def test_a_lease_that_lapses_is_noted_also_while_no_command_comes(tmp_path: pathlib.Path) -> None:
     rig = Rig(tmp_path, lease_s=0)
     try:
         answer = rig.ask("disarm")
         rig.answer(rig.order(Verb.DISARM))
-        assert answer.result(LIMIT_S)["accepted"]
+        assert answer.result(patience_s())["accepted"]
         rig.gateway.publish()
         until(lambda: (int(Note.LEASE_LAPSED), "kim") in notes(rig.runtime))
     finally:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import pathlib
 from typing import Any
 
@@ -9,12 +10,15 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
+from rigctl.control.events import Unmeasured
 from rigctl.control.modes import Setting, SettingOrder
 from rigctl.gateway import margin_service
 from rigctl.gateway.evaluation import EvaluationError
 from rigctl.gateway.margin_service import AGAIN_NS, FIRST_NS, MarginService
+from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 MEASURED = PAPER.model_copy(update={"margins": MarginsSettings()})
@@ -38,7 +42,7 @@ def orders(service: MarginService) -> list[SettingOrder]:
     found = list(service.settings_due())
     thread = service._evaluating
     if thread is not None:
-        thread.join(10.0)
+        thread.join(patience_s())
     return [*found, *service.settings_due()]
 
 
@@ -47,24 +51,29 @@ def excited() -> Excited:
     return Excited()
 
 
-def answering(monkeypatch: pytest.MonkeyPatch, *answers: dict[str, float] | str) -> None:
+@pytest.fixture
+def recorded() -> list[Entry]:
+    return []
+
+
+def answering(monkeypatch: pytest.MonkeyPatch, *answers: dict[str, Any] | str) -> None:
     left = list(answers)
 
     def evaluate(_runtime: object, what: str, records: object) -> dict[str, Any]:
         assert (what, records) == ("margins", "records")
         answer = left.pop(0)
         if isinstance(answer, str):
-            raise EvaluationError(answer)
-        return answer
+            raise EvaluationError(answer, Unmeasured.WEAK)
+        return {"difference": None, **answer}
 
     monkeypatch.setattr(margin_service, "evaluate", evaluate)
 
 
 def test_each_minute_of_an_excitation_gives_the_loop_its_margins(
-    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answering(monkeypatch, {"ms": 1.4, "error": 0.02}, {"ms": 1.5, "error": 0.03})
-    service = MarginService(Runtime(tmp_path), MEASURED, excited)  # type: ignore[arg-type]
+    service = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append)  # type: ignore[arg-type]
     assert orders(service) == []
     excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
     assert orders(service) == []
@@ -79,22 +88,28 @@ def test_each_minute_of_an_excitation_gives_the_loop_its_margins(
 
 
 def test_what_stops_it_is_said_once(
-    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    excited: Excited,
+    recorded: list[Entry],
+    tmp_path: pathlib.Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     answering(monkeypatch, "too weak", "too weak", {"ms": 1.4, "error": 0.02}, "too weak")
-    service, now = MarginService(Runtime(tmp_path), MEASURED, excited), BEGAN + FIRST_NS  # type: ignore[arg-type]
+    service, now = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append), BEGAN + FIRST_NS  # type: ignore[arg-type]
+    found = []
     for _ in range(4):
         excited.span = (BEGAN, now)
-        orders(service)
+        found += [order.values for order in orders(service)]
         now += AGAIN_NS
+    assert [reason for ms, reason in found if math.isnan(ms)] == [Unmeasured.WEAK] * 3, "the loop knows each time"
     assert capsys.readouterr().err == "gateway: margins not measured: too weak\n" * 2
 
 
 def test_a_new_excitation_begins_a_new_window(
-    excited: Excited, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answering(monkeypatch, {"ms": 1.4, "error": 0.02})
-    service = MarginService(Runtime(tmp_path), MEASURED, excited)  # type: ignore[arg-type]
+    service = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append)  # type: ignore[arg-type]
     excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
     assert orders(service) == []
     again = BEGAN + FIRST_NS
@@ -102,7 +117,26 @@ def test_a_new_excitation_begins_a_new_window(
     assert orders(service) == []
 
 
-def test_without_the_section_nothing_is_evaluated(excited: Excited, tmp_path: pathlib.Path) -> None:
+def test_a_sensitivity_that_is_not_the_designs_is_a_warning_and_on_record_once(
+    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    differs = {"hz": 60.0, "measured": 1.9, "error": 0.02, "low": 1.1, "high": 1.5}
+    window: dict[str, Any] = {"ms": 1.9, "error": 0.02}
+    answering(monkeypatch, window, {**window, "difference": differs}, {**window, "difference": differs}, window)
+    service, now = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append), BEGAN + FIRST_NS  # type: ignore[arg-type]
+    found = []
+    for _ in range(4):
+        excited.span = (BEGAN, now)
+        found.append(orders(service))
+        now += AGAIN_NS
+    figure = SettingOrder(Setting.MARGINS, (1.9, 0.02))
+    assert found == [[figure], [figure, SettingOrder(Setting.DIFFERS, (1.9, 1.5))], [figure], [figure]]
+    assert [(item.what, item.figures["difference"]) for item in recorded] == [("margins", differs), ("margins", None)]
+
+
+def test_without_the_section_nothing_is_evaluated(
+    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path
+) -> None:
     excited.span = (BEGAN, BEGAN + 10 * FIRST_NS)
-    assert orders(MarginService(Runtime(tmp_path), PAPER, excited)) == []  # type: ignore[arg-type]
+    assert orders(MarginService(Runtime(tmp_path), PAPER, excited, recorded.append)) == []  # type: ignore[arg-type]
     assert excited.asked == []

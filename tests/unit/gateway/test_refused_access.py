@@ -4,7 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from rigctl.gateway.refused_access import ADDRESS_NS, GROUPS_MAX, PEERS_MAX, AccessRefusal, RefusedAccess
+from rigctl.gateway.refused_access import (
+    ADDRESS_NS,
+    GROUPS_MAX,
+    LOCAL,
+    PEERS_MAX,
+    UNNAMED,
+    AccessRefusal,
+    RefusedAccess,
+)
 from rigctl.ipc.notes import Note
 
 S = 1_000_000_000
@@ -40,6 +48,22 @@ def test_a_message_that_was_dropped_is_one_refusal_with_name_certificate_and_key
     assert (one.note, one.who) == (Note.MESSAGE_REFUSED, "vera")
     assert one.other == "certificate vera.584f, tls/192.0.2.9:51234"
     assert one.words == "query of rigctl/r/cmd/vera/hold"
+
+
+@pytest.mark.parametrize(
+    ("transport", "address", "other"),
+    [
+        (b"UnixsockStream", b"unixsock-stream/5d4f", LOCAL),
+        (b"Tcp", b"tcp/127.0.0.1:51234", f"{UNNAMED}, tcp/127.0.0.1:51234"),
+    ],
+)
+def test_without_a_certificate_it_is_the_link_that_is_said(transport: bytes, address: bytes, other: str) -> None:
+    accepted = ACCEPTED.replace(b"tls/192.0.2.9:51234", address)
+    line = judged(b"Put", b"k").replace(
+        b"Interface(lo)+CertCommonName(vera.584f)+Transport(Tls)", b"Transport(%s)" % transport
+    )
+    (one,) = taken(RefusedAccess(), accepted, line, dropped())
+    assert (one.who, one.other) == ("", other)
 
 
 @pytest.mark.parametrize("late", [False, True])

@@ -17,6 +17,7 @@ from hil.plant.inputs import pack
 from hil.plant.kernel import profile
 from hil.plant.layout import HEIGHT, MECHANISM, RUN_OUT
 from hil.study.planned_run import STIFFNESSES_N_MM
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from tests.builders.rig_bench import SETTINGS
 
@@ -115,7 +116,7 @@ def test_the_first_peak_is_the_first_one_that_matters() -> None:
 
 def test_only_spring_and_move_change_from_case_to_case() -> None:
     def without_spring(settings: RigSettings) -> RigSettings:
-        return settings.model_copy(update={"plant": settings.plant.model_copy(update={"spring_n_mm": 1.0})})
+        return changed(settings, {"plant.spring_n_mm": 1.0, "simulation.rope.damping_n_s_mm": None})
 
     assert {without_spring(case.settings(SETTINGS)).model_dump_json() for case in cases()} == {
         without_spring(SETTINGS).model_dump_json()

@@ -16,6 +16,7 @@ from hil.bus_link import POLLS_PER_RETRY, BusLink
 from hil.hub import Hub
 from hil.hub_server import HubServer
 from hil.wire import ERROR_FLAG, EXTENDED_FLAG, FRAME
+from tests.builders.waiting import patience_s
 
 
 def frame(can_id: int, data: bytes = b"") -> bytes:
@@ -68,7 +69,7 @@ def test_messages_go_both_ways(line: Line) -> None:
 def test_a_blocking_receive_waits_for_the_frame(line: Line) -> None:
     sender = threading.Timer(0.05, line.port.send, [frame(0x123)])
     sender.start()
-    received = line.bus.recv(10.0)
+    received = line.bus.recv(patience_s())
     sender.join()
     assert received is not None and received.arbitration_id == 0x123
     assert line.bus.recv(0.001) is None
@@ -132,13 +133,30 @@ def test_the_twin_in_process_delivers_before_send_returns() -> None:
         bus.shutdown()
 
 
+def test_listeners_have_heard_a_frame_when_send_returns() -> None:
+    """A start-up in lockstep depends on no thread's turn: a busy computer is no silent device."""
+    hub = Hub()
+    heard = can.BufferedReader()
+    with InProcessBus(hub) as bus, InProcessBus(hub) as device:
+        with bus.heard_at_once([heard]):
+            device.send(can.Message(arbitration_id=0x582, data=b"answer", is_extended_id=False))
+            message = heard.get_message(0)
+            assert message is not None
+            assert message.data == b"answer"
+        device.send(can.Message(arbitration_id=0x583, is_extended_id=False))
+        assert heard.get_message(0) is None
+        message = bus.recv(0)
+        assert message is not None
+        assert message.arbitration_id == 0x583
+
+
 def test_the_twin_wakes_a_thread_that_waits() -> None:
     hub = Hub()
     port = hub.attach(lambda _: None)
     with InProcessBus(hub) as bus:
         sender = threading.Timer(0.05, port.send, [frame(0x321)])
         sender.start()
-        received = bus.recv(10.0)
+        received = bus.recv(patience_s())
         sender.join()
         assert received is not None and received.arbitration_id == 0x321
         assert bus.recv(0.001) is None

@@ -13,8 +13,8 @@ import pytest
 
 from hil.study import runner
 from hil.study.runner import Work
-from tests.builders.daemons import wait_for
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
 
 PIECES = 40
 FEW = 20  # more than the processors have at hand, with time to spare; without an end all would begin
@@ -50,8 +50,8 @@ def test_a_study_that_is_told_to_end_begins_no_further_piece(tmp_path: pathlib.P
     """It went on to its end: the pool forgot that what had not begun was cancelled."""
     words = [sys.executable, "-c", f"from tests.unit.hil.test_study_runner import main; main({str(tmp_path)!r})"]
     with subprocess.Popen(words, cwd=ROOT, stderr=subprocess.PIPE, text=True) as study:
-        wait_for(lambda: len(list(tmp_path.iterdir())) >= 1)
+        until(lambda: len(list(tmp_path.iterdir())) >= 1)
         study.send_signal(signal.SIGTERM)
-        _, said = study.communicate(timeout=120)
+        _, said = study.communicate(timeout=patience_s())
     assert "KeyboardInterrupt" in said
     assert len(list(tmp_path.iterdir())) <= FEW

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import datetime
+import errno
 import os
 import pathlib
 import subprocess
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from cryptography import x509
@@ -17,10 +19,12 @@ from rigctl.identity import credentials
 from rigctl.identity.certificates import hosts_of
 from rigctl.identity.credentials import CredentialsError
 from rigctl.identity.issuing import KeyIssuer
-from rigctl.identity.key_folder import KeyFolder, KeyFolderError
+from rigctl.identity.key_folder import HostError, KeyFolder, KeyFolderError
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.ipc import whole_file
 from rigctl.wire.access_control import access_control
 from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s
 
 NOW = datetime.datetime(2026, 3, 1, 12, tzinfo=datetime.UTC)
 DAY = datetime.timedelta(days=1)
@@ -88,6 +92,54 @@ def test_the_gateways_certificate_has_the_hosts_also_when_it_is_renewed(issuer: 
     assert "other-pc" in hosts() and "rig-pc" not in hosts()
 
 
+NO_HOSTS = [
+    "",
+    " ",
+    "*",
+    "*.lab",
+    "tcp/rig-pc:7447",
+    "rig-pc:7447",
+    "rig\npc",
+    "Ü",
+    "r" * 300,
+    "300.1.1.1",
+    "-pc",
+    "a..b",
+]
+
+
+@pytest.mark.parametrize("host", NO_HOSTS)
+def test_what_is_no_host_is_refused_and_leaves_no_folder(tmp_path: pathlib.Path, host: str) -> None:
+    made = KeyIssuer(tmp_path / "keys", NOW)
+    with pytest.raises(HostError, match=r"--host: found .*, expected a host name"):
+        made.init([host])
+    assert not list(tmp_path.iterdir())
+    made.init(["rig-pc", "rig.lab.example", "fe80::1"])
+    with pytest.raises(HostError):
+        made.add("hall", Role.PAGE, hosts=[host])
+    with pytest.raises(HostError):
+        made.renew("gateway", hosts=[host])
+    assert [one.name for one in made.folder.certificates()] == ["gateway"]
+
+
+def test_a_folder_that_could_not_be_written_to_its_end_has_no_keys(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made, written = KeyIssuer(tmp_path / "keys", NOW), whole_file.replace
+
+    def full(file: pathlib.Path, data: bytes, **options: Any) -> None:
+        if file.name == "access.json":
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        written(file, data, **options)
+
+    monkeypatch.setattr(whole_file, "replace", full)
+    with pytest.raises(OSError, match="No space"):
+        made.init([])
+    assert not list(made.folder.path.glob("[!.]*"))
+    monkeypatch.undo()
+    made.init([])
+
+
 def test_a_renewed_key_has_another_common_name_and_the_former_stays_good(issuer: KeyIssuer) -> None:
     first = issuer.add("kim", Role.OPERATOR)
     second = issuer.renew("kim", days=10)
@@ -122,6 +174,24 @@ def test_the_authoritys_key_may_be_kept_elsewhere(issuer: KeyIssuer) -> None:
     with pytest.raises(KeyFolderError, match=r"authority\.key: cannot be read.*put it back"):
         issuer.add("anna", Role.VIEWER)
     assert issuer.revoke("kim") == 1
+
+
+@pytest.mark.parametrize("name", ["authority.pem", "authority.key", "gateway.pem", "access.json"])
+@pytest.mark.parametrize("at", [0, 60, -1])
+def test_a_byte_that_is_not_utf_8_is_refused_in_one_line(issuer: KeyIssuer, name: str, at: int) -> None:
+    file = issuer.folder.path / name
+    data = bytearray(file.read_bytes())
+    data[at] = 0xFF
+    file.write_bytes(data)
+    with pytest.raises(KeyFolderError, match=name) as refused:
+        issuer.add("kim", Role.VIEWER)
+        issuer.folder.gateway_credentials()
+    assert "\n" not in str(refused.value)
+
+
+def test_a_folder_in_the_place_of_a_key_file_is_refused_by_its_name(tmp_path: pathlib.Path) -> None:
+    with pytest.raises(CredentialsError, match=f"{tmp_path}: found no plain file"):
+        credentials.read(tmp_path)
 
 
 @pytest.mark.parametrize("name", ["", "gateway", "Kim", "kim/x", "kim*", "../kim", "k" * 33, "kim.1", "kim "])
@@ -182,7 +252,7 @@ def test_a_key_file_that_is_a_pipe_does_not_block(tmp_path: pathlib.Path) -> Non
 # -- the command ----------------------------------------------------------------------------------------------------
 def keys(folder: pathlib.Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "rigctl", "keys", *arguments, "--dir", str(folder)]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, timeout=60)
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=False, timeout=patience_s())
 
 
 def test_the_command_makes_issues_lists_and_revokes(tmp_path: pathlib.Path) -> None:
@@ -203,6 +273,7 @@ def test_the_command_makes_issues_lists_and_revokes(tmp_path: pathlib.Path) -> N
         (["add", "kim"], 2, "found no --role"),
         (["add", "kim", "--role", "admin"], 2, "found --role 'admin', expected viewer, operator, maintainer"),
         (["add", "kim", "--role", "viewer", "--host", "x"], 2, "found --host"),
+        (["init", "--host", "*"], 2, "--host: found '*', expected a host name"),
         (["add", "kim", "--role", "viewer"], 1, "rigctl keys init"),
         (["list"], 1, "rigctl keys init"),
     ],
@@ -221,7 +292,7 @@ def test_a_pages_key_is_good_for_https_and_nothing_else(issuer: KeyIssuer) -> No
     names = found.get_extension_for_class(x509.SubjectAlternativeName).value
     assert {"localhost", "page-pc"} <= {*names.get_values_for_type(x509.DNSName)}
     assert "192.168.1.11" in [str(one) for one in names.get_values_for_type(x509.IPAddress)]
-    assert made.common_name not in str(access_control("rig", issuer.folder.certificates(), NOW, "1a"))
+    assert made.common_name not in str(access_control("rig", "1a", issuer.folder.certificates(), NOW))
     issuer.renew("page")
     again = credentials.read(issuer.folder.issued("page"))
     assert sorted(hosts_of(again.certificate)) == sorted(hosts_of(owned.certificate))

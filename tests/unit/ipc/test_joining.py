@@ -19,8 +19,8 @@ from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing
 from rigctl.ipc.termination import Termination
 from rigctl.supervisor.service_process import ServiceProcess
+from tests.builders.waiting import patience_s
 
-LIMIT_S = 60.0
 DAEMON = """
 import sys, time
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
@@ -83,7 +83,7 @@ def test_it_ends_when_the_daemon_is_killed(base: pathlib.Path, daemon: subproces
     stop = Termination()
     run = join(base, stop)
     daemon.kill()
-    daemon.wait(LIMIT_S)
+    daemon.wait(patience_s())
     assert stop.requested
     assert run.is_gone()
 
@@ -100,7 +100,7 @@ def test_it_does_not_join_a_run_that_it_was_to_leave_or_one_whose_daemon_is_gone
     Runtime(base / "rigctl-rig").end("gateway")
     assert not joins()
     daemon.kill()
-    daemon.wait(LIMIT_S)
+    daemon.wait(patience_s())
     assert not joins()
     assert len([*pathlib.Path("/proc/self/fd").iterdir()]) == before  # a service may wait for days
 
@@ -110,7 +110,7 @@ def test_the_next_daemon_takes_the_marks_of_a_killed_one_away(
 ) -> None:
     Runtime(base / "rigctl-rig").end("gateway")
     daemon.send_signal(signal.SIGKILL)
-    daemon.wait(LIMIT_S)
+    daemon.wait(patience_s())
     anew = Runtime.of("rig", base)
     lock = anew.claim()
     assert not anew.is_to_end("gateway")

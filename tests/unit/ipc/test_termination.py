@@ -10,6 +10,7 @@ import sys
 import time
 
 import rigctl
+from tests.builders.waiting import patience_s
 
 STORM = """
 import signal, time
@@ -30,7 +31,7 @@ def test_a_storm_of_signals_ends_a_process_and_never_hangs_it() -> None:
     for _ in range(50):
         child.send_signal(signal.SIGTERM)
         time.sleep(0)
-    out, _ = child.communicate("all sent\n", timeout=60)
+    out, _ = child.communicate("all sent\n", timeout=patience_s())
     assert (out, child.returncode) == ("over\n", 0)
 
 

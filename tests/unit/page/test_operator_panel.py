@@ -8,7 +8,8 @@ import pytest
 
 from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Situation, Verb, decide
-from rigctl.page.operator_panel import VERBS, answers, devices, possible, timing
+from rigctl.page.operator_panel import answers, devices, timing
+from rigctl.wire.possible_commands import NO_DRIVE, NO_LOOP, VERBS, not_now, possible
 
 RANGE = (50.0, 350.0)
 
@@ -27,7 +28,7 @@ def test_just_the_commands_that_the_modes_table_allows_are_live(mode: Mode) -> N
     found = possible(state(mode, *(["drive_enabled"] if enabled else [])), RANGE)
     assert set(found) == {verb.name.lower() for verb in VERBS}
     for verb in VERBS:
-        situation = Situation(drive_enabled=enabled, wanted_n=100.0, target_min_n=50.0, target_max_n=350.0)
+        situation = Situation(armed=enabled, wanted_n=100.0, target_min_n=50.0, target_max_n=350.0, carry_s=1.0)
         assert (found[verb.name.lower()] == "") == (not decide(mode, verb, situation).refusal), verb
 
 
@@ -48,7 +49,18 @@ def test_a_reset_names_the_cause_that_blocks_it() -> None:
 
 @pytest.mark.parametrize("broken", [{"mode": None}, {"mode": "NO SUCH"}, {"loop_alive": False}, {"fault_code": 9999}])
 def test_nothing_is_live_where_the_loop_is_not_known(broken: dict[str, Any]) -> None:
-    assert set(possible(state(Mode.HOLD) | broken, RANGE).values()) == {"the loop does not run"}
+    assert set(possible(state(Mode.HOLD) | broken, RANGE).values()) == {NO_LOOP}
+
+
+def test_without_a_drive_that_is_heard_nothing_that_needs_it_is_live() -> None:
+    silent = {"fault": "BUS_SILENT", "text": "no frame", "blocks_reset": True}
+    faulty = state(Mode.FAULT, "drive_enabled", fault="BUS_SILENT", fault_code=1, causes=[silent])
+    found = possible(faulty, RANGE)
+    assert {verb for verb, why in found.items() if not why} == {"disarm"}
+    assert {found[verb] for verb in ("target", "carry", "lower")} == {NO_DRIVE}
+    stuck = silent | {"fault": "ENCODER_STUCK"}
+    found = possible(faulty | {"fault": "ENCODER_STUCK", "causes": [stuck]}, RANGE)
+    assert not found["lower"], "a drive that is heard may lower the load, whatever its encoder shows"
 
 
 ACTIVE = {"settings": {"cylinder": {"e_stop_input": 0}, "io": {"node": 4}}, "bus_load": 0.412}
@@ -59,14 +71,25 @@ def rows(told: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def test_every_device_has_its_words_and_its_age() -> None:
-    found = rows(state(Mode.HOLD, "drive_enabled", drive_age_ns=1_500_000, drive_current_a=1.25, tension_age_ns=None))
+    held = {"held_by": "MOTOR"}
+    found = rows(
+        state(Mode.HOLD, "drive_enabled", **held, drive_age_ns=1_500_000, drive_current_a=1.25, tension_age_ns=None)
+    )
     assert (found["drive"]["text"], found["drive"]["age_ms"]) == ("on", 1.5)
-    assert found["brake"]["text"].startswith("open")
+    assert found["load"]["text"] == "held by the motor"
     assert found["motor current"]["text"] == "1.25 A"
     assert found["drive temperature"]["text"] == "not known"
     assert found["tension cell"]["age_ms"] is None
-    assert "41 %" in found["bus load"]["text"]
-    assert rows(state(Mode.DISARMED))["brake"]["text"].startswith("closed")
+    assert "41 %" in found["bus"]["text"]
+    assert rows(state(Mode.DISARMED, held_by="BRAKE"))["load"]["text"] == "held by the brake (inferred)"
+    slips = rows(state(Mode.FAULT, held_by="BRAKE", sink_mm_s=-0.3, slack_s=160.0))["load"]["text"]
+    assert slips == "held by the brake (inferred), which SLIPS by 0.30 mm/s: rope slack in 160 s"
+
+
+def test_a_loop_that_writes_no_records_leaves_no_ages() -> None:
+    """Seen: "the loop writes no records, 1 ms old"."""
+    old = state(Mode.HOLD, loop_alive=False, tension_age_ns=1_000_000, drive_age_ns=1_000_000)
+    assert {row["age_ms"] for row in rows(old).values()} == {None}
 
 
 def test_each_input_of_the_emergency_stop_has_a_row() -> None:
@@ -82,6 +105,15 @@ def test_each_input_of_the_emergency_stop_has_a_row() -> None:
     assert bare[drive] == bare[node] == "not fitted"
 
 
+def test_the_only_emergency_stop_that_is_fitted_is_the_one_that_is_pressed() -> None:
+    """Seen: "not known: one of the inputs is pressed", beside "not fitted"."""
+    unnamed = state(Mode.FAULT, causes=[{"fault": "E_STOP", "text": "emergency stop pressed (input not known)"}])
+    one = devices(unnamed, {"settings": {"cylinder": {"e_stop_input": 0}}})
+    found = {row["name"]: row["text"] for row in one}
+    assert (found["E-stop, drive's input"], found["E-stop, I/O node's input"]) == ("PRESSED", "not fitted")
+    assert rows(unnamed)["E-stop, drive's input"]["text"] == "not known: one of the inputs is pressed"
+
+
 def test_the_light_of_the_timing() -> None:
     figures = {"p50": 1.0, "p99": 2.0, "p999": 900.0, "max": 1900.0}
     told = state(Mode.HOLD, lateness_us=figures, work_us=None)
@@ -92,9 +124,34 @@ def test_the_light_of_the_timing() -> None:
 
 def test_the_answers_are_ready_for_the_browser() -> None:
     cause = {"fault": "CELL_STALE", "text": "words", "value": 12e6, "limit": 5e6, "since_wall_ns": 2_000_000}
-    (told,) = answers(state(Mode.FAULT, fault="CELL_STALE", causes=[cause]), [])["causes"]
+    told = answers(state(Mode.FAULT, fault="CELL_STALE", causes=[cause]), [])
     assert (told["value"], told["limit"], told["since_ms"]) == ("12 ms", "5 ms", 2.0)
 
 
 def test_hold_is_no_command_that_waits_for_a_mode() -> None:
     assert Verb.HOLD not in VERBS
+
+
+def test_each_reason_is_given_once() -> None:
+    """The bar shows what the mode forbids with why, and names the commands that share the reason together."""
+    lines = not_now(possible(state(Mode.FAULT, fault="LIMIT", fault_code=18), RANGE))
+    assert "ARM, TENSION: not possible in FAULT: reset first" in " ".join(lines).replace("RELEASE, ", "")
+    assert len(lines) == len({line.partition(": ")[2] for line in lines})
+
+
+def test_what_is_not_heard_of_is_not_known() -> None:
+    """Seen on a dead bus: "brake open", "0 error frames", "E-stop released"."""
+    causes = [{"fault": "BUS_SILENT", "text": "no frame"}]
+    ages = {"drive_age_ns": 1_000_000}
+    found = rows(state(Mode.FAULT, "drive_enabled", held_by="MOTOR", causes=causes, drive_current_a=1.0, **ages))
+    for name in ("drive", "brake", "motor current"):
+        assert found[name]["text"] == "not known"
+    assert found["drive"]["age_ms"] is None, "nothing known has an age"
+    assert found["load"]["text"] == "not known what holds the load"
+    assert found["bus"]["text"].startswith("nothing is heard")
+    assert found["E-stop, drive's input"]["text"] == "not seen"
+
+
+def test_the_brake_is_inferred_and_the_drive_measured() -> None:
+    found = rows(state(Mode.DISARMED, held_by="BRAKE"))
+    assert (found["brake"]["sure"], found["drive"]["sure"], found["brake"]["text"]) == (False, True, "closed")

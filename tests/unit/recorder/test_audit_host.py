@@ -6,8 +6,7 @@ import contextlib
 import pathlib
 import re
 import socket
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 
@@ -15,21 +14,14 @@ from rigctl.config.audit_section import AuditSettings
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.recorder_process import Recorder
+from tests.builders.waiting import patience_s, until
 from tests.unit.recorder.test_sources import entries
 
 S = 1_000_000_000
-PATIENCE_S = 20.0
 MESSAGE = re.compile(
     r"<109>1 \d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}Z \S+ rigctl \d+ audit - "
     r"paper_rig entry (\d+) head ([0-9a-f]{64}) (.+)"
 )
-
-
-def until(true: Callable[[], object]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not true():
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 class Collector:
@@ -40,7 +32,7 @@ class Collector:
         self._socket = socket.socket(type=socket.SOCK_STREAM if protocol == "tcp" else socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         self._socket.bind(("127.0.0.1", port))
-        self._socket.settimeout(PATIENCE_S)
+        self._socket.settimeout(patience_s())
         if protocol == "tcp":
             self._socket.listen()
         self.port = int(self._socket.getsockname()[1])
@@ -57,7 +49,7 @@ class Collector:
             return self._socket.recv(65_536).decode().removesuffix("\n")
         if self._connection is None:
             self._connection, _ = self._socket.accept()
-            self._connection.settimeout(PATIENCE_S)
+            self._connection.settimeout(patience_s())
         while b"\n" not in self._came:
             data = self._connection.recv(4096)
             assert data, "the recorder has closed the connection"

@@ -7,7 +7,6 @@ import os
 import pathlib
 import shutil
 import subprocess
-import time
 from collections.abc import Iterator
 from itertools import pairwise
 
@@ -22,18 +21,11 @@ from rigctl.recorder.mcap_scan import Scan
 from rigctl.recorder.part_seal import PartStanding
 from rigctl.recorder.recording import read
 from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
+from tests.builders.waiting import patience_s, until
 
 NEEDS_ROOT = pytest.mark.skipif(
     os.getuid() != 0 or shutil.which("mount") is None, reason="needs root, to mount a small disk"
 )
-
-
-def until(true: object, *, patience_s: float = 20.0) -> None:
-    """Wait for the disk's thread."""
-    end = time.monotonic() + patience_s
-    while not true():  # type: ignore[operator]
-        assert time.monotonic() < end
-        time.sleep(0.01)
 
 
 def written(tape: Tape) -> None:
@@ -266,7 +258,7 @@ def test_a_failed_write_leaves_the_file_as_it_was(disk: pathlib.Path) -> None:
     filler.unlink()
     until(lambda: not disk_file.pending)
     disk_file.end()
-    assert disk_file.join(5.0)
+    assert disk_file.join(patience_s())
     assert disk_file.path.read_bytes() == b"a" * 100_000 + b"b" * 50_000 + b"c" * 50_000
     assert disk_file.error == ""
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -15,10 +14,10 @@ from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recorder_process import PUBLISH_NS, Recorder, _serve, main
 from rigctl.recorder.recording import read
+from tests.builders.waiting import patience_s, until
 from tests.unit.recorder.test_sources import entries
 
 S = 1_000_000_000
-LIMIT_S = 10.0
 
 
 def test_an_undisturbed_run_is_logged_recorded_and_closed(runtime: Runtime, settings: RigSettings) -> None:
@@ -108,15 +107,13 @@ def test_it_ends_with_the_supervisors_last_entry_and_not_before_it_is_told_to(ov
     recorder = SimpleNamespace(over=over, poll=lambda *_: polls.append(1))
     stop = SimpleNamespace(requested=False)
     serving = threading.Thread(
-        target=_serve, args=(cast("Any", recorder), cast("Any", stop), lambda: False), daemon=True
+        target=_serve, args=(cast("Any", recorder), cast("Any", stop), lambda: False, lambda: None), daemon=True
     )
     serving.start()
-    until = time.monotonic() + LIMIT_S
-    while len(polls) < 2 and time.monotonic() < until:
-        time.sleep(0.01)
+    until(lambda: len(polls) >= 2)
     assert serving.is_alive()
     stop.requested, recorder.over = True, True
-    serving.join(LIMIT_S)
+    serving.join(patience_s())
     assert not serving.is_alive()
 
 

@@ -26,6 +26,7 @@ from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
 from tests.builders.durable import Disk
 from tests.builders.tape import OFFSET_NS, Tape, as_recorded, same
+from tests.builders.waiting import patience_s
 
 
 @pytest.fixture
@@ -171,7 +172,7 @@ def test_a_recorder_that_was_killed_is_followed_without_a_gap(tape: Tape) -> Non
     tape.run(1200)
     assert tape.recording._part is not None
     tape.recording._part.disk.end()
-    tape.recording._part.disk.join(5.0)  # a kill leaves this: whole chunks, no index
+    tape.recording._part.disk.join(patience_s())  # a kill leaves this: whole chunks, no index
     tape.tick(700)
     tape.start()
     tape.run(900)
@@ -244,7 +245,7 @@ def test_the_audit_logs_lines_are_in_it_and_made_up_for_after_a_kill(tape: Tape)
     tape.run(400)
     assert tape.recording._part is not None
     tape.recording._part.disk.end()
-    tape.recording._part.disk.join(5.0)
+    tape.recording._part.disk.join(patience_s())
     enter(2)  # in the log, but the recorder was killed before recording it
     tape.start().audit(enter(3))
     tape.run(400)

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from rigctl.recorder import thinning
 from rigctl.recorder.audit_log import Item
-from rigctl.recorder.thinning import BURST, RATE_BYTES, RATE_HZ, WRITTEN_FIRST, Thinning, size_of
+from rigctl.recorder.thinning import (
+    BURST,
+    DAY_S,
+    ENTRY_BYTES,
+    RATE_BYTES,
+    RATE_HZ,
+    WRITTEN_FIRST,
+    Thinning,
+    size_of,
+)
 
 S = 1_000_000_000
 
@@ -82,6 +92,36 @@ def test_the_log_grows_no_faster_than_stated_and_loses_no_accepted_command_and_n
     assert last.thin([], S, S, final=True) == []
     # all but those of the last window, whose count is not due yet
     assert len(items) - (counted + repeated + plain) <= 2 * per_s * 11
+
+
+FLOODS: dict[str, Callable[[int, int, int], Item]] = {
+    "refusals": lambda t_ns, poll, n: refusal(t_ns, f"user{poll}-{n}"),
+    "holds": lambda t_ns, poll, n: item(t_ns, "command_accepted", "HOLD: held", f"{poll}-{n}", verb="hold"),
+    "messages": lambda t_ns, poll, n: item(t_ns, "message_refused", f"PUT {poll} {n}", "", "notes", other="a"),
+    "repeats": lambda t_ns, _poll, n: refusal(t_ns, f"user{n % 60}"),
+}
+
+
+@pytest.mark.parametrize("what", FLOODS)
+def test_a_flood_of_two_days_has_a_bound_for_each(what: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of names and texts that are never the same, and of many that are the same again and again."""
+    monkeypatch.setattr(thinning, "DAY_BYTES", 1 << 20)
+    thin, poll_s = Thinning(), 600
+    written = [0, 0]
+    for poll in range(1, 2 * DAY_S // poll_s):
+        now_ns = poll * poll_s * S
+        made = thin.thin([FLOODS[what](now_ns, poll, n) for n in range(300)], now_ns, now_ns)
+        written[poll * poll_s // DAY_S] += sum(size_of(one) for one in made)
+    counts = DAY_S // poll_s * (ENTRY_BYTES + 400)
+    assert (1 << 19) < written[0] < (1 << 20) + counts
+    assert written[1] < (1 << 19) + counts
+
+
+def test_a_flood_of_refusals_keeps_no_hold_off_the_log() -> None:
+    thin = Thinning()
+    flood(thin, [refusal(S + number * 100_000, f"user{number}") for number in range(60_000)])
+    held = item(8 * S, "command_accepted", "HOLD: held", "anna", verb="hold")
+    assert held in thin.thin([held], 8 * S, 8 * S)
 
 
 def test_what_is_not_named_is_always_written() -> None:

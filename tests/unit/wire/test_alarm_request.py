@@ -27,14 +27,14 @@ def test_the_schema_describes_every_decision() -> None:
     found = schema("rig")["alarms"]
     assert set(found["verbs"]) == set(ALARM_ACTS)
     assert all(one["description"] for one in found["verbs"].values())
-    assert {row["name"] for row in found["payload"]} == {"operator", "cause", "reason", "for_s", "run_id"}
+    assert {row["name"] for row in found["payload"]} == {"operator", "cause", "reason", "for_s", "lease", "run_id"}
 
 
 @pytest.mark.parametrize(("act", "more"), [
     (AlarmAct.SHELVE, {"reason": ""}), (AlarmAct.SHELVE, {"for_s": 0}), (AlarmAct.SHELVE, {"for_s": -1}),
     (AlarmAct.SHELVE, {"for_s": LONGEST_SHELF_S + 1}), (AlarmAct.SHELVE, {"for_s": 1.5}),
     (AlarmAct.SHELVE, {"cause": ""}), (AlarmAct.SHELVE, {"cause": "x" * 121}), (AlarmAct.SHELVE, {"reason": "a\nb"}),
-    (AlarmAct.SHELVE, {"operator": ""}), (AlarmAct.SHELVE, {"lease": "0" * 32}), (AlarmAct.SHELVE, {"value": 1}),
+    (AlarmAct.SHELVE, {"operator": ""}), (AlarmAct.SHELVE, {"lease": "0" * 31}), (AlarmAct.SHELVE, {"value": 1}),
     (AlarmAct.ACKNOWLEDGE, {}), (AlarmAct.UNSHELVE, {}),
 ])  # fmt: skip
 def test_a_malformed_decision_is_one_line(act: AlarmAct, more: dict[str, Any]) -> None:

@@ -9,11 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.config import rig_file
 from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
-from rigctl.wire.alarm_words import alarm_rows, block, standing
+from rigctl.wire.alarm_words import alarm_rows, block, standing, tally
 from rigctl.wire.alarms import (
     CHATTERING_NS,
     LONGEST_SHELF_S,
@@ -25,6 +26,7 @@ from rigctl.wire.alarms import (
     cause_of,
     figure,
 )
+from tests.builders.paths import ROOT
 
 S = 1_000_000_000
 CALM: dict[str, Any] = {"mode": "HOLD", "loop_alive": True, "age_ms": 1.0, "wall_ns": 0, "causes": []}
@@ -79,6 +81,20 @@ def test_the_stronger_reaction_of_one_cause_is_its_priority() -> None:
     assert (row.priority, row.count) == (Priority.URGENT, 2)
 
 
+def test_a_stuck_cell_has_its_limit_and_a_unit() -> None:
+    stuck = event(Kind.TRIP, 0.0, Fault.CELL_STUCK, Action.HOLD, 38.0, 20.0)
+    (row,) = Alarms([stuck]).rows(None, S)
+    assert (row.value, row.limit) == ("38 times", "20 times")
+
+
+def test_the_row_of_the_latched_fault_is_before_those_that_follow_from_it() -> None:
+    """With a silent bus eight newer rows hid it, and the list showed five."""
+    alarms = Alarms([trip(0, Fault.BUS_SILENT), trip(1, Fault.CELL_STALE, Action.POWER_OFF)])
+    active = [cause(Fault.CELL_STALE), cause(Fault.BUS_SILENT)]
+    rows = alarms.rows(CALM | {"fault": "BUS_SILENT", "causes": active}, 2 * S)
+    assert [row.cause for row in rows] == ["BUS_SILENT", "CELL_STALE"]
+
+
 def test_a_chattering_alarm_is_one_row() -> None:
     events = [event for at in range(50) for event in (trip(at), over(at + 0.5))]
     (row,) = Alarms(events).rows(CALM, 50 * S)
@@ -123,6 +139,13 @@ def test_lateness_makes_no_alarm() -> None:
     assert Alarms([event(Kind.CLOCK, 0, 3)]).rows(CALM, S) == []
 
 
+@pytest.mark.parametrize("name", ["rig.yaml", "paper_rig.yaml", "plain_rig.yaml"])
+def test_the_manual_says_what_the_limit_on_lateness_that_we_ship_does(name: str) -> None:
+    (row,) = [row for row in rig_file.load(ROOT / "config" / name).limits if row.signal == "lateness_us"]
+    manual = " ".join((ROOT / "docs/operate.md").read_text().split())
+    assert f"`lateness_us` {row.high:g} with action `{row.action}`, a LOW alarm" in manual
+
+
 def test_an_emergency_message_stands_until_the_device_withdraws_it() -> None:
     alarms = Alarms([event(Kind.EMERGENCY, 0, 5, 0x8130 | 0x11 << 16, about="00")])
     assert alarms.rows(CALM, S)[0].stands
@@ -158,7 +181,7 @@ def test_words_and_json_of_a_row() -> None:
     assert "HIGH" in head
     assert words.strip() == row.text
     assert row.remedy in remedy
-    assert standing(row, 4 * S) == "stands, not acknowledged"
+    assert standing(row, 4 * S) == "active, not acknowledged"
     assert alarm_rows([row], 4 * S)[0][0] == "alarm"
     assert as_message(row, 4 * S)["priority"] == "high"
 
@@ -250,3 +273,21 @@ def test_any_events_make_one_row_for_each_cause(raw: list[tuple[Kind, Fault, str
 def test_invented_causes_fill_no_memory(names: list[str]) -> None:
     events = [trip(at, Fault.LIMIT) | {"about": name} for at, name in enumerate(names)]
     assert len(Alarms(events).rows(None, S)) <= ROWS
+
+
+def test_the_row_of_a_latched_fault_stays_until_the_reset() -> None:
+    """Seen: "0 standing" under a red FAULT."""
+    alarms = Alarms([trip(3.0), over(4.0)])
+    alarms.note(note(Note.ALARM_ACKNOWLEDGED, 4.5, "CELL_STALE"))
+    latched = CALM | {"mode": "FAULT", "fault": "CELL_STALE", "fault_text": "no tension sample"}
+    (row,) = alarms.rows(latched, 5 * S)
+    assert row.condition == "latched"
+    assert tally([row], 5 * S) == "1 latched"
+    assert alarms.rows(CALM, 5 * S) == []
+    assert tally([], 5 * S, barred=2) == "2 checks bar ARM"
+
+
+def test_an_active_cause_has_the_priority_of_its_reaction_now() -> None:
+    alarms = Alarms([trip(3.0, action=Action.POWER_OFF)])
+    state = CALM | {"mode": "FAULT", "fault": "CELL_STALE", "causes": [cause(Fault.CELL_STALE)]}
+    assert [row.priority for row in alarms.rows(state, 4 * S)] == [Priority.HIGH]

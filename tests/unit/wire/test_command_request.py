@@ -15,6 +15,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.ipc.record import REPLY
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, verb_of
+from rigctl.wire.lease import is_id
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -38,8 +39,8 @@ def is_command(verb: Verb, payload: bytes) -> bool:
     assert isinstance(found, Request)
     assert 1 <= len(found.operator) <= 64
     assert found.operator.isprintable()
-    assert math.isfinite(found.value) or verb not in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE)
-    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE, Verb.CONFIRM_STROKE, Verb.MOVE)
+    assert math.isfinite(found.value) or verb not in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY)
+    assert math.isnan(found.value) or verb in (Verb.TARGET, Verb.CALIBRATE, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY)
     return True
 
 
@@ -58,24 +59,26 @@ def test_any_values_under_the_right_keys(verb: Verb, operator: Any, value: Any) 
     payload = msgspec.json.encode({"operator": operator, "value": value})
     well = isinstance(operator, str) and 1 <= len(operator.strip()) <= 64 and operator.strip().isprintable()
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    needed = dict.fromkeys((Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE), number)
+    needed = dict.fromkeys((Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY), number)
     needed |= {Verb.CALIBRATE: number or value is None}
     fits = needed.get(verb, value is None)
     assert is_command(verb, payload) == (well and fits)
 
 
 @given(verb=st.sampled_from(Verb), lease=JSON | st.text("0123456789abcdefA\n", min_size=30, max_size=34))
-def test_a_lease_that_is_sent_is_a_refusal_but_for_hold(verb: Verb, lease: Any) -> None:
+def test_a_lease_that_is_no_id_is_a_refusal_but_for_hold(verb: Verb, lease: Any) -> None:
     needed: dict[Verb, dict[str, Any]] = {
         Verb.TARGET: {"value": 300.0},
         Verb.CONFIRM_STROKE: {"value": 0.0},
         Verb.MOVE: {"value": 1.0},
+        Verb.CARRY: {"value": 60.0},
         Verb.GAINS: {"gain_file": "a", "name": "b"},
     }
     payload = msgspec.json.encode({"operator": "kim", "lease": lease} | needed.get(verb, {}))
-    assert is_command(verb, payload) == (lease is None or verb is Verb.HOLD)
-    if lease is None or verb is Verb.HOLD:
-        assert parse(verb, payload).lease is None
+    good = isinstance(lease, str) and is_id(lease)
+    assert is_command(verb, payload) == (lease is None or good or verb is Verb.HOLD)
+    if is_command(verb, payload):
+        assert parse(verb, payload).lease == (lease if good else None)
 
 
 @given(operator=st.text("abc xyz-", min_size=1).filter(str.strip), value=st.floats(-1e6, 1e6))

@@ -193,8 +193,8 @@ def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
 
 def test_an_act_on_the_lease_is_read() -> None:
     assert ACTS == {"lease_take": LeaseAct.TAKE, "lease_return": LeaseAct.RETURN}
-    payload = {"operator": " kim ", "reason": " tea "}
-    expected = LeaseRequest(LeaseAct.TAKE, "kim", reason="tea")
+    payload = {"operator": " kim ", "reason": " tea ", "lease": ID}
+    expected = LeaseRequest(LeaseAct.TAKE, "kim", ID, "tea")
     assert parse_lease(LeaseAct.TAKE, msgspec.json.encode(payload)) == expected
     assert parse_lease(LeaseAct.RETURN, b'{"operator": "kim"}') == LeaseRequest(LeaseAct.RETURN, "kim")
 
@@ -204,7 +204,7 @@ def test_an_act_on_the_lease_is_read() -> None:
     "more",
     [
         {"lease": 7}, {"lease": ""}, {"lease": "0" * (2 * ID_BYTES + 1)}, {"lease": "G" * 2 * ID_BYTES},
-        {"lease": [[]]}, {"lease": {"id": ID}}, {"lease": ID}, {"reason": "x" * 121}, {"reason": "a\nb"}, {"reason": 7},
+        {"lease": [[]]}, {"lease": {"id": ID}}, {"reason": "x" * 121}, {"reason": "a\nb"}, {"reason": 7},
         {"operator": ""}, {"value": 1}, {"lease": ID + "\n"},
     ],
 )  # fmt: skip

@@ -13,7 +13,7 @@ from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
-from rigctl.wire.operator_view import view
+from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST, view
 from tests.unit.wire.test_alarms import event, over, trip
 
 STALE = {
@@ -37,24 +37,60 @@ def test_every_mode_says_what_the_rig_does(mode: Mode) -> None:
 
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT])
 def test_nobody_walks_in_while_the_drive_is_on_or_unknown(mode: Mode) -> None:
-    assert view(state(mode, "drive_enabled")).entry.startswith("NO:")
-    assert view(state(mode, quality={"drive": "stale"})).entry.startswith("NO:")
-    assert view({"mode": None, "loop_alive": False}).entry.startswith("NO:")
+    assert view(state(mode, "drive_enabled")).entry == KEEP_OUT
+    assert view(state(mode, quality={"drive": "stale"})).entry == KEEP_OUT
+    assert view({"mode": None, "loop_alive": False}).entry == KEEP_OUT
 
 
 def test_a_drive_that_is_off_leaves_the_load_on_the_brake_to_be_looked_at() -> None:
-    words = view(state(Mode.DISARMED)).entry
-    assert words.startswith("CHECK:")
-    assert "298.7 N" in words
+    found = view(state(Mode.DISARMED), lock_out="main switch Q1")
+    assert found.entry == LOCK_OUT_FIRST
+    assert found.entry_why == "main switch Q1: rope and brake carry 298.7 N"
+    assert "safety.lock_out" in view(state(Mode.DISARMED)).entry_why
+
+
+@pytest.mark.parametrize("shown", ["AWAITED", "UNCONFIRMED"])
+def test_nobody_walks_in_before_a_power_off_is_confirmed(shown: str) -> None:
+    found = view(state(Mode.FAULT, held_by="BRAKE", fault="CELL_STALE", causes=[STALE], power_off=shown))
+    assert found.entry == KEEP_OUT
+    assert ("emergency stop" in found.next_step) is (shown == "UNCONFIRMED")
+    assert ("UNCONFIRMED" in found.does) is (shown == "UNCONFIRMED")
+
+
+def test_a_confirmed_power_off_says_by_what() -> None:
+    found = view(state(Mode.FAULT, held_by="BRAKE", fault="CELL_STALE", causes=[STALE], power_off="TENSION"))
+    assert found.entry == LOCK_OUT_FIRST
+    assert found.steps[-2].text == "See that the hall is empty; take the lock-out off."  # who went in comes out again
+    assert "confirmed by a tension at rest" in found.does
 
 
 def test_a_cause_that_blocks_a_reset_is_named_with_value_limit_and_remedy() -> None:
-    found = view(state(Mode.FAULT, "drive_enabled", fault="CELL_STALE", causes=[STALE]))
+    found = view(state(Mode.FAULT, "drive_enabled", held_by="MOTOR", fault="CELL_STALE", causes=[STALE]))
     (cause,) = found.causes
     assert (cause.value, cause.limit, cause.since_ns) == ("12 ms", "5 ms", 3)
     assert found.blocks == "CELL_STALE"
-    assert found.next_step == f"{Fault.CELL_STALE.remedy} Then reset."
-    assert found.does == "holds the stroke under power"
+    assert found.text.endswith(" at the trip"), "beside a device that is 8 s old it read as an age of now"
+    assert [step.text for step in found.steps] == [
+        "Keep out of the hall.", Fault.CELL_STALE.remedy,
+        "RESET, once CELL_STALE is gone; else start the daemon anew.",
+    ]  # fmt: skip
+    assert found.does == "stroke to be held: held by the motor"
+
+
+def test_where_nothing_is_heard_of_the_drive_there_is_a_way_to_the_devices() -> None:
+    """BUS_SILENT sent people to the devices while they had to keep out, without a lock-out to come in by."""
+    unheard = {"tension": "good", "inclination": "good", "drive": "stale"}
+    found = view(state(Mode.FAULT, fault="BUS_SILENT", causes=[STALE], quality=unheard), lock_out="switch Q1")
+    steps = [step.text for step in found.steps]
+    assert found.entry == KEEP_OUT
+    assert steps[0] == "Keep out. To go in: emergency stop, lock out switch Q1."
+
+
+def test_a_reset_beside_an_active_cause_says_so_and_waits_for_nothing() -> None:
+    """STROKE_END goes by the motion after a reset alone: to wait for its end would be a circle."""
+    active = {**STALE, "fault": "DRIVE_FAULT", "blocks_reset": False}
+    found = view(state(Mode.FAULT, held_by="BRAKE", fault="DRIVE_FAULT", causes=[active]))
+    assert found.steps[-1].text == "RESET; the fault may trip again."
 
 
 def test_a_latched_fault_whose_cause_is_gone_may_be_reset() -> None:
@@ -63,8 +99,8 @@ def test_a_latched_fault_whose_cause_is_gone_may_be_reset() -> None:
     (cause,) = found.causes
     assert not cause.stands
     assert (cause.value, cause.since_ns) == ("12 ms", 3_000_000_000)
-    assert found.blocks == "nothing: a reset is accepted"
-    assert found.next_step.startswith("Reset")
+    assert found.blocks == "nothing: RESET is accepted"
+    assert found.steps[-1].text == "RESET."
 
 
 def test_a_latched_limit_has_value_and_limit_of_its_own_row() -> None:
@@ -90,8 +126,9 @@ def test_a_stop_that_still_runs_blocks_a_reset() -> None:
 def test_what_bars_arming_is_the_next_step_while_disarmed() -> None:
     failing = {"E_STOP": Check.E_STOP.words}
     found = view(state(Mode.DISARMED, preflight={"failing": failing}))
-    assert found.next_step == f"Before arming: {Check.E_STOP.words}"
-    assert view(state(Mode.HOLD, preflight={"failing": failing})).next_step == ""
+    assert [step.verb for step in found.steps] == ["", "", "arm"]
+    assert "mergency stop is pressed" in found.steps[1].text
+    assert "mergency" not in view(state(Mode.HOLD, preflight={"failing": failing})).next_step
 
 
 def test_the_rows_of_status_and_watch_hold_every_answer() -> None:

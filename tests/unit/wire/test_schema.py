@@ -66,12 +66,18 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
     verbs, rows = SCHEMA["commands"]["verbs"], described(SCHEMA["commands"]["payload"])
     assert set(verbs) == {verb.name.lower() for verb in Verb}
     examples = {"value": 300.0, "creep_s": 600.0, "gain_file": "text", "name": "gains.yaml", "where": "hold"}
-    required = {"target": {"value"}, "confirm_stroke": {"value"}, "move": {"value"}, "gains": {"gain_file", "name"}}
+    required = {
+        "target": {"value"},
+        "confirm_stroke": {"value"},
+        "move": {"value"},
+        "carry": {"value"},
+        "gains": {"gain_file", "name"},
+    }
     for name, said in verbs.items():
         assert said["description"]
         needs = {"operator": "kim"} | {option: examples[option] for option in required.get(name, set())}
         request.parse(Verb[name.upper()], msgspec.json.encode(needs))
-        for option in rows - {"operator", *needs}:
+        for option in rows - {"operator", "lease", *needs}:
             body = msgspec.json.encode(needs | {option: examples.get(option, True)})
             if option in said["options"]:
                 request.parse(Verb[name.upper()], body)
@@ -83,7 +89,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
 def test_the_lease_is_there_with_just_what_it_takes() -> None:
     verbs = SCHEMA["lease"]["verbs"]
     assert set(verbs) == {act.value for act in LeaseAct}
-    assert described(SCHEMA["lease"]["payload"]) == {"operator", "reason", "run_id"}
+    assert described(SCHEMA["lease"]["payload"]) == {"operator", "reason", "lease", "run_id"}
     for act in LeaseAct:
         body = msgspec.json.encode({"operator": "kim", "reason": "tea"})
         if "reason" in verbs[act.value]["options"]:

@@ -1,0 +1,1 @@
+"""How far a load moves between brake and motor."""

@@ -1,0 +1,170 @@
+"""HOLD from the users of this computer: the loop's own datagram sockets, one for each user.
+
+Nothing that a user does on his socket delays the loop or another user's HOLD:
+
+- A tick takes at most one datagram, without waiting. Of sockets with a datagram each has its turn.
+- A socket of which one was taken rests for ``REST_NS``: the others wait in its queue, and the sender behind that.
+- A user's socket admits his processes alone (POSIX access list); who has none shares the socket of the others.
+- A descriptor sent along (SCM_RIGHTS) would be closed in the tick, and closing one can block: a TCP socket with
+  SO_LINGER, a file of a hung file system. The kernel refuses it where it can (Linux 6.16); else the datagram is left in
+  its queue, and that socket is read no more.
+- Answers go to abstract addresses only: to look up a path in a sender's file system could block.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pwd
+import select
+import socket
+import struct
+from collections import deque
+from collections.abc import Iterable
+from typing import NamedTuple, Protocol
+
+from rigctl.ipc.hold_socket import HOLD_SOCKETS, NAME_BYTES, HoldAnswer, socket_name
+from rigctl.ipc.runtime_folder import Runtime
+
+REST_NS = 20_000_000
+USERS_MAX = 250
+_UNANSWERED_MAX = 16
+_ARMED = select.EPOLLIN | select.EPOLLONESHOT
+_CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
+_ROOM = socket.CMSG_SPACE(_CREDENTIALS.size)
+_SO_PASSRIGHTS = 83  # <asm-generic/socket.h>
+_PEEK = socket.MSG_DONTWAIT | socket.MSG_PEEK
+_ACCESS_LIST = "system.posix_acl_access"
+_ENTRY = struct.Struct("<HHI")  # struct posix_acl_xattr_entry: tag, permissions, id
+_VERSION, _NO_ID, _READ_WRITE = struct.pack("<I", 2), 0xFFFFFFFF, 6
+_OWNER, _USER, _GROUP, _MASK, _OTHER = 0x01, 0x02, 0x04, 0x10, 0x20
+
+
+class Hold(NamedTuple):
+    """A HOLD as it came: user and process as the kernel says, the operator's name in the sender's words."""
+
+    uid: int
+    pid: int
+    operator: str
+    closed: bool = False  # its socket is read no more: it sent a descriptor
+
+
+class HoldSource(Protocol):
+    """Where the loop takes HOLD from."""
+
+    def take(self, t_ns: int) -> Hold | None:
+        """The HOLD for the tick at ``t_ns``, if there is one."""
+
+    def answer(self, taken_ns: int, answer: HoldAnswer) -> None:
+        """Answer the HOLD that was taken at ``taken_ns``."""
+
+
+class GivenHolds(deque[Hold]):
+    """HOLDs that a program puts in, one for each tick: of a simulated rig or a recording."""
+
+    def take(self, t_ns: int) -> Hold | None:  # noqa: ARG002
+        """See `HoldSource`."""
+        return self.popleft() if self else None
+
+    def answer(self, taken_ns: int, answer: HoldAnswer) -> None:
+        """See `HoldSource`; the answer is in the ring of replies."""
+
+
+class HoldSockets:
+    """The sockets in the run-time folder."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        """Make them in place of those that a loop before has left.
+
+        Raises:
+            OSError: one cannot be made.
+        """
+        self._epoll = select.epoll()
+        self._sockets: dict[int, socket.socket] = {}
+        self._resting: deque[tuple[int, int]] = deque()  # when each may be read again, and its descriptor
+        self._unanswered: dict[int, tuple[socket.socket, bytes]] = {}  # by the time of the tick that has taken it
+        for path in runtime.directory.glob(f"{HOLD_SOCKETS}*"):
+            path.unlink()
+        apart = _users() if runtime.is_shared else []  # only its owner enters another folder
+        own = os.geteuid()
+        self._open(runtime, own, None)
+        try:
+            for uid in apart:
+                if uid != own:
+                    self._open(runtime, uid, _access_list({uid: _READ_WRITE}, 0))
+        except OSError:  # a file system without access lists: all others share a socket
+            runtime.place(socket_name(uid)).unlink(missing_ok=True)
+            apart = []
+        if runtime.is_shared:
+            self._open(runtime, None, _access_list(dict.fromkeys(apart, 0), _READ_WRITE) if apart else None)
+
+    def _open(self, runtime: Runtime, uid: int | None, access_list: bytes | None) -> None:
+        place = runtime.place(socket_name(uid))
+        one = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        one.setblocking(False)
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+        with contextlib.suppress(OSError):
+            one.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, 0)
+        one.bind(str(place))
+        place.chmod(0o666 if uid is None else 0o600)
+        if access_list is not None:
+            os.setxattr(place, _ACCESS_LIST, access_list)
+        self._sockets[one.fileno()] = one
+        self._epoll.register(one, _ARMED)
+
+    def take(self, t_ns: int) -> Hold | None:
+        """See `HoldSource`."""
+        resting = self._resting
+        if resting and t_ns >= resting[0][0]:
+            self._epoll.modify(resting.popleft()[1], _ARMED)
+        for descriptor, _ in self._epoll.poll(0, 1):
+            return self._receive(self._sockets[descriptor], t_ns)
+        return None
+
+    def _receive(self, one: socket.socket, t_ns: int) -> Hold | None:
+        closed = False
+        try:
+            data, ancillary, flags, address = one.recvmsg(NAME_BYTES, _ROOM, _PEEK)
+            closed = bool(flags & socket.MSG_CTRUNC)  # there was more than the credentials: descriptors
+            if not closed:
+                one.recv(1, socket.MSG_DONTWAIT)
+        except OSError:
+            return None
+        finally:
+            if not closed:
+                self._resting.append((t_ns + REST_NS, one.fileno()))
+        if isinstance(address, bytes) and address.startswith(b"\0"):
+            if len(self._unanswered) >= _UNANSWERED_MAX:
+                self._unanswered.clear()
+            self._unanswered[t_ns] = one, address
+        pid, uid, _gid = _CREDENTIALS.unpack(ancillary[0][2]) if ancillary else (0, -1, -1)
+        name = "".join(letter if letter.isprintable() else "?" for letter in data.decode(errors="replace"))
+        return Hold(uid & 0xFFFFFFFF, pid, name, closed)
+
+    def answer(self, taken_ns: int, answer: HoldAnswer) -> None:
+        """See `HoldSource`."""
+        if (asked := self._unanswered.pop(taken_ns, None)) is not None:
+            one, address = asked
+            with contextlib.suppress(OSError):  # the sender has gone, or does not read
+                one.sendto(answer.packed(), socket.MSG_DONTWAIT, address)
+
+    def close(self) -> None:
+        """Close the sockets; their files stay until the folder is deleted."""
+        self._epoll.close()
+        for one in self._sockets.values():
+            one.close()
+
+
+def _users() -> list[int]:
+    """The users of this computer, at most ``USERS_MAX``: root and persons before the accounts of services."""
+    found = {entry.pw_uid for entry in pwd.getpwall()}
+    return sorted(found, key=lambda uid: (0 < uid < 1000, uid))[:USERS_MAX]
+
+
+def _access_list(users: dict[int, int], others: int) -> bytes:
+    """Permissions of the owner, of each user, and of all others, see acl(5)."""
+    rows: Iterable[tuple[int, int, int]] = (
+        (_OWNER, _READ_WRITE, _NO_ID), *((_USER, allowed, uid) for uid, allowed in sorted(users.items())),
+        (_GROUP, others, _NO_ID), (_MASK, _READ_WRITE, _NO_ID), (_OTHER, others, _NO_ID),
+    )  # fmt: skip
+    return _VERSION + b"".join(_ENTRY.pack(*row) for row in rows)

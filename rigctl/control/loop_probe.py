@@ -1,0 +1,94 @@
+"""The probe in the loop: the multisine's speed, what has answered it, and how far the stroke has gone unseen."""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config.settings import RigSettings
+from rigctl.control.margin_probe import Probe
+from rigctl.control.probe_plan import JUDGEMENTS_PER_PERIOD, ProbePlan
+from rigctl.control.sensor_probe import ProbeFinding, SensorProbe
+from rigctl.control.snapshot import Snapshot
+from rigctl.control.unseen_travel import UnseenTravel
+
+
+class NoProbe:
+    """Of a law that is none of ours: what it would make of a multisine is not known.
+
+    ``found``: see `rigctl.control.sensor_probe`, and in ``words``. ``travel``: the one of two that is nearer to its
+    bound: since COMPENSATING began, or since the ramp before it.
+    """
+
+    def __init__(self, settings: RigSettings, detection_s: float = 0.0, step_s: float = 1.0) -> None:
+        self.found, self.words = ProbeFinding.NONE, ""
+        self._regulated = UnseenTravel(settings, detection_s, step_s)
+        self._ramped = UnseenTravel(settings, detection_s, step_s)
+        self._watches_ramp = settings.plant.mechanism_n_mm is None  # one that gives way bounces on the ramp
+        self.travel = self._regulated
+        self._judged = True  # nothing can be said of the cell: only the whole travel is bounded
+
+    def look(
+        self, snapshot: Snapshot, cosine: float, target_n: float, *, ramping: bool, compensating: bool
+    ) -> None:  # fmt: skip
+        """One tick, before it is decided: the travel; ``target_n`` along the rope, ``ramping``: up, on a tight rope."""
+        watched = (
+            (self._ramped, self._watches_ramp and (ramping or compensating), True),
+            (self._regulated, compensating, self._judged),
+        )
+        for travel, on, judged in watched:
+            if on:
+                travel.look(
+                    snapshot.stroke_mm, snapshot.speed_mm_s, snapshot.tension_n, cosine, target_n, judged=judged
+                )
+            else:
+                travel.end()
+        self.travel = max(self._regulated, self._ramped, key=lambda travel: travel.excess_n)
+
+    def found_stiffness(self, n_mm: float) -> None:
+        """The sign check has found this stiffness."""
+        self._regulated.found_stiffness(n_mm)
+        self._ramped.found_stiffness(n_mm)
+
+    def speed_mm_s(
+        self, _snapshot: Snapshot, _command_mm_s: float, _ticks: int, *, free: bool  # noqa: ARG002
+    ) -> float:  # fmt: skip
+        """None."""
+        return 0.0
+
+
+class LoopProbe(NoProbe):
+    """The multisine, and who answers it."""
+
+    def __init__(self, settings: RigSettings, plan: ProbePlan, quantum_mm: float) -> None:
+        """``quantum_mm``: of the drive's position."""
+        super().__init__(settings, plan.detection_s, plan.period_s / JUDGEMENTS_PER_PERIOD)
+        self._least = plan.threshold(plan.spread, plan.windows(plan.spread))
+        self._multisine = Probe(settings, plan.shape, plan.level)
+        self._sensors = SensorProbe(settings, plan, quantum_mm)
+        self._judged = False
+
+    def speed_mm_s(self, snapshot: Snapshot, command_mm_s: float, ticks: int, *, free: bool) -> float:
+        """Speed of this tick.
+
+        Args:
+            snapshot: of this tick.
+            command_mm_s: sent in the tick before.
+            ticks: since the last call.
+            free: COMPENSATING without a trial.
+        """
+        multisine, sensors = self._multisine, self._sensors
+        speed_mm_s = multisine.speed_mm_s(snapshot.vertical_error_n, free=free)
+        self._judged = False
+        if not multisine.whole:
+            sensors.lose()
+        else:
+            if ticks > 1:
+                sensors.skip()
+            if sensors.see(multisine.place, snapshot.tension_n, snapshot.stroke_mm, command_mm_s):
+                self._judged = sensors.found is ProbeFinding.WHOLE
+                if sensors.found is ProbeFinding.ROPE_CHANGED:
+                    self.words = f"{sensors.rope.now_n_mm:.3g} N/mm, {sensors.rope.before_n_mm:.3g} N/mm before"
+                elif sensors.found > ProbeFinding.WHOLE and math.isfinite(sensors.share):
+                    self.words = f"the cell shows {sensors.share:.2f} of it, limit {self._least:.2f}"
+        self.found = sensors.found
+        return speed_mm_s

@@ -1,0 +1,1 @@
+"""Which part a trip is about: residuals of the recorded signals around it, and one table of what each fault shows."""

@@ -1,0 +1,136 @@
+"""Progress of the daemon's processes: each counts its turns in shared memory, and others see that one has stopped.
+
+A process that hangs is one without progress whose main thread takes no processor time and waits neither for a processor
+nor for a disk: a computer that is stalled or busy does not make its processes hang.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import struct
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import NamedTuple
+
+from rigctl.ipc import whole_file
+from rigctl.ipc.folder_files import FolderFiles
+from rigctl.ipc.service_manager import Watchdog
+
+REPORTED_S = 1.0
+HUNG_S = 5.0
+_TURN_MAX_S = 0.5  # a longer turn of the observer says that it was stalled itself, as the computer may have been
+_COUNT = struct.Struct("<Q")
+_BUSY = frozenset("RD")  # proc(5): waits for a processor, for a disk
+
+
+def progress_file(name: str) -> str:
+    """Name of the file with the count of a process."""
+    return f"{name}.progress"
+
+
+class Progress:
+    """The count of this process, and its service's watchdog."""
+
+    def __init__(self, folder: FolderFiles, name: str, *, feeds: bool = True) -> None:
+        """Begin to count. ``feeds``: its progress feeds its service's watchdog.
+
+        Raises:
+            OSError: the file cannot be made.
+        """
+        place = folder.place(progress_file(name))
+        place.unlink(missing_ok=True)
+        self._file = os.open(place, whole_file.NEW, 0o640 if folder.is_shared else 0o600)
+        self._count = 0
+        self._watchdog = Watchdog() if feeds else None
+
+    def step(self) -> None:
+        """A turn of the main thread's loop is done."""
+        self._count += 1
+        with contextlib.suppress(OSError):
+            os.pwrite(self._file, _COUNT.pack(self._count), 0)
+        if self._watchdog is not None:
+            self._watchdog.feed()
+
+
+def progress_of(folder: FolderFiles, name: str) -> int | None:
+    """The count of a process; None where it shows none."""
+    with contextlib.suppress(OSError, struct.error):
+        file = os.open(folder.place(progress_file(name)), os.O_RDONLY | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK)
+        try:
+            return int(_COUNT.unpack(os.pread(file, _COUNT.size, 0))[0])
+        finally:
+            os.close(file)
+    return None
+
+
+class Thread(NamedTuple):
+    """State of a process's main thread as in proc(5), and its processor time in clock ticks."""
+
+    state: str
+    used: int
+
+
+def main_thread(pid: int) -> Thread | None:
+    """None for a process that this one may not see, as a service of another user."""
+    with contextlib.suppress(OSError, ValueError, IndexError):
+        fields = pathlib.Path(f"/proc/{pid}/task/{pid}/stat").read_text().rpartition(")")[2].split()
+        return Thread(fields[0], int(fields[11]) + int(fields[12]))
+    return None
+
+
+class StallChange(Enum):
+    """What is found of a process."""
+
+    STALLED = auto()  # no progress for REPORTED_S
+    RESUMED = auto()
+    HUNG = auto()  # no progress, and idle for HUNG_S: to be replaced
+
+
+@dataclass
+class Stall:
+    """How long one process has shown no progress: a fold over the observer's turns."""
+
+    grace_s: float = 0.0
+    """After its start: until the first progress it may take this long."""
+    lasted_s: float = 0.0
+    """When it has resumed: how long it had lasted."""
+    _silent_s: float = 0.0
+    _idle_s: float = 0.0
+    _count: int | None = None
+    _used: int = -1
+    _now_s: float | None = None
+    _reported = False
+
+    def look(self, now_s: float, count: int | None, thread: Thread | None) -> StallChange | None:
+        """The next turn; ``now_s``: monotonic, ``count``: of the process, ``thread``: its main thread, if seen."""
+        passed_s = 0.0 if self._now_s is None else min(now_s - self._now_s, _TURN_MAX_S)
+        before, self._now_s = self._count, now_s
+        if count != before and count is not None:
+            resumed, self._reported = self._reported, False
+            if before is not None:
+                self.grace_s = 0.0
+            self._count, self._idle_s, self.lasted_s, self._silent_s = count, 0.0, self._silent_s, 0.0
+            return StallChange.RESUMED if resumed else None
+        if self.grace_s > 0.0:
+            self.grace_s -= passed_s
+            return None
+        self._silent_s += passed_s
+        is_idle = thread is not None and thread.used == self._used and thread.state not in _BUSY
+        self._idle_s = self._idle_s + passed_s if is_idle else 0.0
+        self._used = thread.used if thread is not None else -1
+        if self._idle_s >= HUNG_S:
+            return StallChange.HUNG
+        if self._silent_s >= REPORTED_S and not self._reported:
+            self._reported = True
+            return StallChange.STALLED
+        return None
+
+
+_WORDS = {"R": ", waits for a processor", "D": ", waits for a disk", "T": ", stopped by a signal", "t": ", traced"}
+
+
+def stalled_words(thread: Thread | None) -> str:
+    """No progress, in words."""
+    return f"no progress for {REPORTED_S:g} s{_WORDS.get(thread.state, '') if thread is not None else ''}"

@@ -1,0 +1,67 @@
+"""Which values of a state are not to be trusted, and why: no display shows one of them as a value."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rigctl.control.faults import Fault
+
+DEVICES = ("tension", "drive", "inclination")
+"""The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""
+DOUBTED_BY: dict[str, frozenset[Fault]] = {
+    "tension": frozenset(
+        {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE,
+         Fault.CELL_FROZEN, Fault.SIGN_CELL, Fault.BUS_SILENT, Fault.SYNC_LOST}
+    ),
+    "drive": frozenset(
+        {Fault.DRIVE_STALE, Fault.DRIVE_CONTRADICTS, Fault.ENCODER_STUCK, Fault.STROKE_JUMPED, Fault.BUS_SILENT,
+         Fault.SYNC_LOST}
+    ),
+    "inclination": frozenset(
+        {Fault.INCLINATION_STALE, Fault.INCLINATION_INVALID, Fault.BUS_SILENT, Fault.SYNC_LOST}
+    ),
+}  # fmt: skip
+"""Causes that make a device's value untrustworthy although its samples may arrive, and be good each by itself."""
+_UNTIL_RESET = frozenset({Fault.CELL_FROZEN, Fault.ENCODER_STUCK, Fault.SIGN_CELL})
+"""Judged once, by a motion: in doubt for as long as they are latched."""
+DEVICE_OF = {
+    "tension_n": "tension", "vertical_n": "tension", "error_n": "tension", "error_pct": "tension",
+    "stroke_mm": "drive", "speed_mm_s": "drive", "tangential_deg": "inclination", "normal_deg": "inclination",
+}  # fmt: skip
+"""The device behind each value that a display shows."""
+
+
+def doubted_bits(device: str) -> int:
+    """The bits of ``cause_bits`` in a record that put a device's value in doubt."""
+    return sum(1 << fault for fault in DOUBTED_BY[device])
+
+
+def doubts(state: dict[str, Any]) -> dict[str, str]:
+    """Why a device's value is not to be trusted, by device; a device that is trusted is not in it."""
+    if state.get("mode") is None or not state.get("loop_alive"):
+        return dict.fromkeys(DEVICES, "the loop writes no records")
+    found = state.get("causes")
+    active = (
+        {str(cause.get("fault")) for cause in found if isinstance(cause, dict)} if isinstance(found, list) else set()
+    )
+    latched, quality = str(state.get("fault")), state.get("quality") or {}
+    result = {}
+    for device in DEVICES:
+        named = [
+            fault.name
+            for fault in sorted(DOUBTED_BY[device])
+            if fault.name in active or (fault.name == latched and fault in _UNTIL_RESET)
+        ]
+        if quality.get(device, "good") != "good":
+            result[device] = str(quality[device])
+        elif named:
+            result[device] = named[0]
+    return result
+
+
+def trusted(state: dict[str, Any], name: str) -> float | None:
+    """A value of the state, None where it is not there or not to be trusted."""
+    value = state.get(name)
+    if DEVICE_OF.get(name) in doubts(state):
+        return None
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None

@@ -1,0 +1,326 @@
+"""HOLD and FAULT end on the brake, and what moves the stroke takes the load back: judged by the plant's truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+import pytest
+
+from hil.faults import stand
+from hil.faults.in_device import SPEED, STROKE, both, creeps, reads, stuck
+from hil.faults.stand import Injector, Stand
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config.settings import RigSettings
+from rigctl.control import orders
+from rigctl.control.checks import Check
+from rigctl.control.events import Kind
+from rigctl.control.faults import Fault
+from rigctl.control.machine import ARM_LIMIT_NS
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.safety import Action, Trip
+from rigctl.control.tension import Gains
+from rigctl.devices import objects
+from tests.builders.branches import Started
+
+HELD_MM, HELD_SHARE = 1.0, 0.03  # the promise to whoever relies on a held load
+TAKEN_S = 0.2  # the drive's states and its brake, beside the tick that finds them
+
+
+@pytest.fixture(scope="module")
+def held_once(settings: RigSettings, gains: Gains) -> Iterator[Started]:
+    with lockstep(settings, gains) as rig:
+        stand.start(rig, Mode.HOLD, None)
+        stand.enter(rig, Mode.HOLD)
+        yield Started.now(rig)
+
+
+@pytest.fixture
+def held(request: pytest.FixtureRequest, held_once: Started) -> Lockstep:
+    """A rig in HOLD that has just been armed, 300 N on the rope."""
+    return held_once.go_on(request)
+
+
+@pytest.fixture(scope="module")
+def parked_once(settings: RigSettings, gains: Gains) -> Iterator[Started]:
+    with lockstep(settings, gains) as rig:
+        stand.start(rig, Mode.HOLD, None)
+        stand.enter(rig, Mode.HOLD)
+        rig.run(settings.hold.park_s + 0.5)
+        assert rig.rig.drive.control.stage.braked
+        yield Started.now(rig)
+
+
+@pytest.fixture
+def parked(request: pytest.FixtureRequest, parked_once: Started) -> Lockstep:
+    return parked_once.go_on(request)
+
+
+def held_by(rig: Lockstep) -> HeldBy:
+    return HeldBy(int(rig.run(0.01)["held_by"][-1]))
+
+
+def put_in(rig: Lockstep, fault: Injector) -> Callable[[float], None] | None:
+    return fault(Stand(rig, "parking"))
+
+
+def stays(rig: Lockstep, seconds: float) -> bool:
+    """The true load stays within 1 mm and 3 % for so long."""
+    n, mm = rig.rig.truth.tension_n, rig.rig.truth.stroke_mm
+    strays = [0.0, 0.0]
+
+    def look() -> None:
+        strays[0] = max(strays[0], abs(rig.rig.truth.tension_n - n) / n)
+        strays[1] = max(strays[1], abs(rig.rig.truth.stroke_mm - mm))
+
+    rig.on_advance = look
+    rig.run(seconds)
+    rig.on_advance = None
+    return strays[0] <= HELD_SHARE and strays[1] <= HELD_MM
+
+
+# -- the brake takes the load ---------------------------------------------------------------------------------------
+def test_a_hold_at_standstill_ends_on_the_brake_with_the_drive_off(held: Lockstep) -> None:
+    assert held_by(held) is HeldBy.MOTOR
+    records = held.run(held.settings.hold.park_s + 0.5)
+    assert set(records["mode"]) == {Mode.HOLD}
+    states = [int(state) for i, state in enumerate(records["held_by"]) if not i or state != records["held_by"][i - 1]]
+    assert states == [HeldBy.MOTOR, HeldBy.CLOSING, HeldBy.BRAKE]
+    assert held.rig.drive.control.stage.braked
+    assert not held.rig.drive.control.enabled
+    assert stays(held, 5.0)
+
+
+def test_the_rig_file_says_how_long_the_motor_holds(settings: RigSettings, gains: Gains) -> None:
+    for park_s in (0.5, 4.0):
+        hold = settings.hold.model_copy(update={"park_s": park_s})
+        with lockstep(settings.model_copy(update={"hold": hold}), gains) as rig:
+            stand.start(rig, Mode.HOLD, None)
+            assert rig.command(Verb.ARM) is Refusal.NONE
+            records = rig.run(park_s + 1.0)
+            motor_s = np.count_nonzero(records["held_by"] == HeldBy.MOTOR) / settings.loop.rate_hz
+            assert motor_s == pytest.approx(park_s, abs=0.05)
+
+
+@pytest.mark.parametrize("creep", [0.4, -0.4])
+def test_a_creep_that_no_encoder_sees_ends_on_the_brake(held: Lockstep, creep: float) -> None:
+    """300 N fell to 61 N, or rose to 406 N, in 100 s of a HOLD under power."""
+    put_in(held, both(creeps(creep), both(stuck(STROKE), reads(SPEED, times=0.0))))
+    assert stays(held, 20.0)
+
+
+@pytest.mark.parametrize("drift", [0.3, pytest.param(-0.3, marks=pytest.mark.long)])
+def test_an_encoder_that_drifts_does_not_take_the_load_along(held: Lockstep, drift: float) -> None:
+    put_in(held, reads(STROKE, drift_s=drift))
+    assert stays(held, 10.0)
+
+
+@pytest.mark.parametrize("drift", [0.3, pytest.param(-0.3, marks=pytest.mark.long)])
+def test_a_fault_is_held_by_the_brake_whatever_the_encoder_shows(held: Lockstep, drift: float) -> None:
+    """FAULT by a silent cell: HOLD's own correction took 300 N to 193 N in 60 s."""
+    samples = objects.TPDO1_BASE + held.settings.tension_cell.node
+    held.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    put_in(held, reads(STROKE, drift_s=drift))
+    assert stays(held, 15.0)
+    assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
+    assert held.rig.drive.control.stage.braked
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_fault_parks_as_soon_as_the_stroke_stands_still(rig: Lockstep) -> None:
+    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), rig.clock.now())
+    records = rig.run(1.0)
+    parked = records["held_by"] == HeldBy.BRAKE
+    assert parked[-1]
+    assert np.argmax(parked) < 0.6 * rig.settings.loop.rate_hz  # 0.2 s at standstill and the brake's 0.1 s
+    assert rig.loop.machine.mode is Mode.FAULT
+
+
+def test_no_command_of_no_consequence_keeps_the_motor_on(held: Lockstep) -> None:
+    for _ in range(8):
+        assert held.command(Verb.TARGET, 290.0) is Refusal.NONE
+        assert held.command(Verb.HOLD) is Refusal.NONE
+        held.run(0.5)
+    assert held.rig.drive.control.stage.braked
+
+
+def test_a_stop_of_the_process_leaves_a_parked_load_on_the_brake(parked: Lockstep) -> None:
+    parked.loop.stop_requested = True
+    parked.run(1.0)
+    assert parked.loop.finished
+    assert parked.rig.drive.control.stage.braked
+
+
+# -- the motor takes it back ----------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("verb", "mode"), [(Verb.TENSION, Mode.TENSIONING), (Verb.RELEASE, Mode.RELEASING)])
+def test_a_parked_hold_is_left_by_taking_the_load_back(parked: Lockstep, verb: Verb, mode: Mode) -> None:
+    before, since = parked.rig.truth.tension_n, parked.clock.now()
+    assert parked.command(verb) is Refusal.NONE
+    assert parked.loop.machine.mode is mode, "it is answered when the motion begins"
+    assert parked.clock.now() - since <= TAKEN_S * 1e9
+    assert parked.rig.truth.tension_n == pytest.approx(before, rel=HELD_SHARE)
+    assert not parked.rig.drive.control.stage.braked
+    assert parked.run(0.5)["held_by"][-1] == HeldBy.NOTHING
+
+
+def test_a_whole_cycle_from_a_parked_hold_and_back(parked: Lockstep) -> None:
+    assert parked.command(Verb.TENSION) is Refusal.NONE
+    parked.run_until(Mode.COMPENSATING, 10.0)
+    assert parked.command(Verb.HOLD) is Refusal.NONE
+    assert held_by(parked) is HeldBy.MOTOR
+    parked.run(3.0)
+    assert held_by(parked) is HeldBy.BRAKE
+    assert parked.command(Verb.RELEASE) is Refusal.NONE
+    parked.run_until(Mode.HOLD, 20.0)
+    parked.run(3.0)
+    assert held_by(parked) is HeldBy.BRAKE
+    assert parked.rig.truth.tension_n < parked.settings.tension.slack_n
+
+
+def test_a_hold_while_the_motor_takes_the_load_closes_the_brake_again(parked: Lockstep) -> None:
+    first = parked.give(Verb.TENSION)
+    parked.run(0.03)
+    assert parked.loop.machine.pending is Verb.TENSION
+    assert parked.command(Verb.HOLD) is Refusal.NONE
+    parked.run(0.5)
+    assert first
+    assert parked.loop.machine.mode is Mode.HOLD
+    assert parked.rig.drive.control.stage.braked
+
+
+def test_a_drive_that_does_not_come_on_is_refused_in_time_and_the_brake_stays_closed(
+    parked: Lockstep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parked.rig.drive.control, "_enable", lambda _t_ns: None)
+    since = parked.clock.now()
+    assert parked.command(Verb.TENSION) is Refusal.DRIVE_TIMEOUT
+    assert parked.clock.now() - since <= ARM_LIMIT_NS + TAKEN_S * 1e9
+    assert parked.loop.machine.mode is Mode.HOLD
+    assert parked.rig.drive.control.stage.braked
+    assert stays(parked, 2.0)
+
+
+@pytest.mark.parametrize("verb", [Verb.ARM, Verb.TENSION])
+def test_a_sync_lost_while_the_brake_opens_is_a_fault(settings: RigSettings, gains: Gains, verb: Verb) -> None:
+    """The daemon stayed DISARMED without a fault, the drive in OPERATION_ENABLED with its brake open."""
+    with lockstep(settings, gains) as rig:
+        stand.start(rig, Mode.HOLD, None)
+        if verb is Verb.TENSION:
+            stand.enter(rig, Mode.HOLD)
+            rig.run(3.0)
+        rig.give(verb)
+        for _ in range(10_000):
+            rig.loop.tick()
+            if rig.loop.machine.taking:
+                break
+        rig.run(0.02)
+        rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == objects.SYNC_COB else (frame,)
+        assert stays(rig, 5.0)
+        assert rig.loop.machine.mode is Mode.FAULT
+
+
+# -- which checks repeat --------------------------------------------------------------------------------------------
+def read_backs(rig: Lockstep) -> int:
+    return sum(int(event["kind"]) == Kind.READ_BACK for event in rig.events.read())
+
+
+def test_a_load_parked_for_long_is_taken_back_after_a_read_back_of_every_object(
+    parked: Lockstep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_backs(parked)
+    assert parked.command(Verb.TENSION) is Refusal.NONE
+    assert not read_backs(parked), "a short park needs none"
+    assert parked.command(Verb.HOLD) is Refusal.NONE
+    parked.run(3.0)
+    monkeypatch.setattr(orders, "RECHECK_NS", 0)
+    assert parked.command(Verb.TENSION) is Refusal.NONE
+    assert read_backs(parked) == 1
+
+
+def test_a_setting_lost_while_parked_bars_taking_the_load_back(parked: Lockstep) -> None:
+    parked.rig.drive.device.set_data(objects.ABORT_CONNECTION_OPTION, 0, b"\0\0")
+    parked.run(20.0)  # the read-back goes on, one object after the other
+    assert parked.loop.machine.fault is Fault.SUPERVISION_LOST
+    assert parked.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+    assert parked.command(Verb.TENSION) is Refusal.WRONG_MODE
+    assert parked.rig.drive.control.stage.braked
+
+
+def test_no_brake_test_of_two_seconds_is_made_again(parked: Lockstep) -> None:
+    parked.events.read()
+    assert parked.command(Verb.TENSION) is Refusal.NONE
+    assert not any(int(event["kind"]) == Kind.BRAKE_TEST for event in parked.events.read())
+
+
+# -- trials ----------------------------------------------------------------------------------------------------------
+def test_a_trial_has_the_motor_hold_by_name_and_for_a_stated_time(parked: Lockstep) -> None:
+    parked.events.read()
+    assert parked.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE
+    told = [event for event in parked.events.read() if int(event["kind"]) == Kind.HELD]
+    powered = [event for event in told if int(event["b"]) == HeldBy.MOTOR]
+    assert [bytes(event["text"]).rstrip(b"\0") for event in powered] == [b"IDENTIFY"]
+    assert 5.0 < float(powered[0]["value"]) < 15.0
+    parked.run(3.0)
+    assert held_by(parked) is HeldBy.BRAKE
+
+
+def test_a_trial_beyond_its_time_is_ended_and_the_load_parked(parked: Lockstep) -> None:
+    id_ = parked.give(Verb.IDENTIFY, 1.0)
+    parked.run(0.5)
+    assert parked.loop.machine.trial is Verb.IDENTIFY
+    parked.loop._orders.powered_until_ns = parked.clock.now()
+    parked.run(4.0)
+    assert id_
+    assert parked.loop.machine.trial is None
+    assert parked.rig.drive.control.stage.braked
+
+
+@pytest.mark.parametrize("verb", [Verb.TARE, Verb.CALIBRATE])
+def test_a_measurement_at_rest_runs_with_the_load_on_the_brake(rig: Lockstep, verb: Verb) -> None:
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    rig.run(3.0)
+    assert rig.command(verb, *([0.0, float("nan")] if verb is Verb.CALIBRATE else [])) is Refusal.NONE
+    assert rig.rig.drive.control.stage.braked
+
+
+# -- reset -----------------------------------------------------------------------------------------------------------
+def test_a_reset_leads_to_a_parked_hold_and_from_there_on(parked: Lockstep) -> None:
+    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), parked.clock.now())
+    parked.run(2.0)
+    assert parked.command(Verb.RESET) is Refusal.NONE
+    assert parked.loop.machine.mode is Mode.HOLD
+    assert held_by(parked) is HeldBy.BRAKE
+    read_backs(parked)
+    assert parked.command(Verb.TENSION) is Refusal.NONE
+    assert read_backs(parked) == 1, "after a fault every object is read back"
+
+
+def test_a_fault_that_was_disarmed_is_reset_to_disarmed(parked: Lockstep) -> None:
+    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), parked.clock.now())
+    assert parked.command(Verb.DISARM) is Refusal.NONE
+    assert parked.loop.machine.mode is Mode.FAULT
+    assert parked.command(Verb.RESET) is Refusal.NONE
+    assert parked.loop.machine.mode is Mode.DISARMED
+
+
+def test_a_drives_own_fault_is_reset_to_disarmed(parked: Lockstep) -> None:
+    parked.rig.drive.trip(0x7300)
+    parked.run(2.0)
+    assert parked.loop.machine.fault in (Fault.DRIVE_FAULT, Fault.DRIVE_EMERGENCY)
+    assert parked.command(Verb.RESET) is Refusal.NONE
+    assert parked.loop.machine.mode is Mode.DISARMED
+    assert not parked.loop._orders.failed_checks() & Check.DRIVE_FAULT or parked.run(1.0).size
+
+
+# -- a rig without a brake ---------------------------------------------------------------------------------------------
+def test_a_rig_that_needs_no_brake_is_held_by_the_motor(settings: RigSettings, gains: Gains) -> None:
+    words = {"brake_waiver": "a study: the screw is self-locking", "brake_test": False}
+    cylinder = settings.cylinder.model_copy(update=words)
+    with lockstep(settings.model_copy(update={"cylinder": cylinder}), gains) as rig:
+        stand.start(rig, Mode.HOLD, None)
+        stand.enter(rig, Mode.HOLD)
+        rig.run(10.0)
+        assert held_by(rig) is HeldBy.MOTOR
+        rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), rig.clock.now())
+        rig.run(5.0)
+        assert held_by(rig) is HeldBy.MOTOR

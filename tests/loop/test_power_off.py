@@ -1,0 +1,133 @@
+"""A power off is reported as confirmed only where something other than the command shows it; judged by the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from hil.lockstep import Lockstep, lockstep
+from hil.nodes.power_stage import StagePhase
+from rigctl.config.io_section import IoSettings
+from rigctl.config.settings import RigSettings
+from rigctl.control.events import Kind, worded
+from rigctl.control.faults import Fault
+from rigctl.control.modes import Mode, PowerOff, Refusal, Verb
+from rigctl.control.power_off import WAIT_NS
+from rigctl.control.safety import Action, Trip
+from rigctl.control.tension import Gains
+
+WAIT_S = WAIT_NS * 1e-9
+
+
+def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING) -> None:
+    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, Action.POWER_OFF), rig.clock.now())
+
+
+def reported(rig: Lockstep) -> list[str]:
+    found = []
+    for event in rig.events.read():
+        kind, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+        if kind == Kind.POWER_OFF:
+            found.append(worded(kind, a, b, value, limit, text.decode()).text)
+    return found
+
+
+def shown(rig: Lockstep) -> PowerOff:
+    return PowerOff(rig.loop.observer.snapshot.power_off)
+
+
+def moves_mm(rig: Lockstep, seconds: float = 2.0) -> float:
+    before_mm = rig.rig.truth.stroke_mm
+    rig.run(seconds)
+    return abs(rig.rig.truth.stroke_mm - before_mm)
+
+
+def without_power(rig: Lockstep) -> bool:
+    return rig.rig.drive.control.stage.phase is StagePhase.BRAKED
+
+
+@pytest.fixture
+def fitted(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
+    """TENSIONING, on a rig with the drive's STO feedback at its I/O node."""
+    io = IoSettings(e_stop_input=9, drive_enable_output=0, drive_off_input=10)
+    with lockstep(settings.model_copy(update={"io": io}), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(0.7)
+        rig.events.read()
+        yield rig
+
+
+@pytest.mark.parametrize("rig", [Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING], indirect=["rig"])
+def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
+    rig.events.read()
+    cut(rig)
+    rig.run(1.0)
+    assert shown(rig) is PowerOff.AWAITED
+    rig.run(WAIT_S)
+    assert shown(rig) is PowerOff.TENSION
+    assert without_power(rig)
+    assert moves_mm(rig) < 0.01
+    (line,) = reported(rig)
+    assert "confirmed by a tension at rest" in line
+
+
+def test_on_a_slack_rope_the_drives_own_state_and_stroke_confirm_it(rig: Lockstep) -> None:
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    assert rig.loop.observer.slack
+    cut(rig)
+    rig.run(WAIT_S - 1.0)
+    assert shown(rig) is PowerOff.STROKE
+    assert without_power(rig)
+
+
+@pytest.mark.starts_in(Mode.TENSIONING)
+def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep) -> None:
+    """Its firmware has failed: the motor turns at its last speed, its state is as it was."""
+    rig.events.read()
+    rig.rig.drive.hung = True
+    rig.run(1.0 + WAIT_S)
+    assert rig.loop.machine.action >= Action.POWER_OFF
+    assert not without_power(rig)
+    assert shown(rig) is PowerOff.UNCONFIRMED
+    (line,) = reported(rig)
+    assert "UNCONFIRMED" in line
+    assert "emergency stop" in line
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_cell_in_doubt_confirms_nothing(rig: Lockstep) -> None:
+    rig.events.read()
+    cut(rig, Fault.LOAD_UNSEEN)
+    rig.run(WAIT_S + 0.5)
+    assert shown(rig) is PowerOff.UNCONFIRMED
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_load_that_moves_again_with_the_motor_withdraws_it(rig: Lockstep) -> None:
+    cut(rig)
+    rig.run(WAIT_S)
+    assert shown(rig) is PowerOff.TENSION
+    rig.events.read()
+    rig.rig.drive.defect = lambda _speed, _held: (-0.5, False)
+    rig.run(1.0)
+    assert shown(rig) is PowerOff.UNCONFIRMED
+    assert len(reported(rig)) == 1
+
+
+def test_the_drives_feedback_at_the_io_node_confirms_it_at_once(fitted: Lockstep) -> None:
+    cut(fitted)
+    fitted.run(0.6)
+    assert shown(fitted) is PowerOff.INPUT
+    assert without_power(fitted)
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_reset_ends_the_report(rig: Lockstep) -> None:
+    cut(rig)
+    rig.run(WAIT_S)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(0.1)
+    assert shown(rig) is PowerOff.NONE

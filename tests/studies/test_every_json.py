@@ -1,0 +1,142 @@
+"""``--json`` of every command of ``python -m hil`` runs to its end, with numbers of numpy and figures that are none.
+
+What takes minutes is replaced by its result, where another test plays it; the rest is played small.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import pathlib
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+
+from hil.__main__ import app
+from hil.cli import files
+from hil.compare import equal_limits, random_rigs
+from hil.compare.equal_limits import EqualLimits, RunErrors
+from hil.compare.random_rigs import RigRow
+from hil.compare.rivals import OURS
+from hil.compare.tuned_laws import TunedLaw
+from hil.faults import gateway_kills, kills, lockstep_rows
+from hil.faults.gateway_kills import Figures
+from hil.faults.judge import FaultResult
+from hil.faults.kills import Kill
+from hil.moves import repeated_moves
+from hil.moves.repeated_moves import MoveFigures, RepeatedResult
+from hil.roll_back import study as roll_back
+from hil.roll_back.study import Moved
+from rigctl.config import rig_file
+from tests.builders.paths import ROOT
+from tests.conftest import Command
+
+RIG = rig_file.load(ROOT / "config/paper_rig.yaml")
+RUN = random_rigs.scenario()
+ELSEWHERE = {"scenario": "test_scenario.py", "paper": "test_paper_study.py", "compare": "test_compare.py"}
+"""Commands whose own tests play them with ``--json``; compare without the options below."""
+
+
+def fault_rows(_rig: Any, rows: Any, _advance: Any) -> list[FaultResult]:
+    return [
+        FaultResult(
+            fault.id, mode.name, "held", "held", np.float64(1.0), None, np.float32(2.0), math.nan, 0.0, 0.0,  # type: ignore[arg-type]
+            np.bool_(True), "", (),  # type: ignore[arg-type]
+        ) for fault, mode in rows
+    ]  # fmt: skip
+
+
+def equal(*_: Any) -> EqualLimits:
+    found = {(RUN.name, OURS): RunErrors(np.float64(0.01), 0.002, None, 20.0, "COMPENSATING")}
+    law = TunedLaw(OURS, (np.float64(1.0),), True, 0.0, 1.5, 0.4)
+    return EqualLimits(RIG, (RUN,), (OURS,), found, {(RUN.name, OURS): law}, {(RUN.name, OURS): np.float64(1.3)})
+
+
+MOVED = Moved(np.float64(0.1), 0.1, 0.2, "HOLD")
+Patches = list[tuple[Any, str, Callable[..., Any]]]
+PLAYED: dict[str, tuple[list[str], Patches]] = {
+    "cell": (["--cells", "1"], []),
+    "faults": (["--only", "cell_silent", "--mode", "HOLD"], [(lockstep_rows, "play", fault_rows)]),
+    "faults --kills": (
+        ["--kills", "1"],
+        [(kills, "play", lambda *_: [Kill("control", "SIGKILL", "HOLD", np.float64(0.1), math.nan, ())])],
+    ),
+    "faults --gateway-kills": (
+        ["--gateway-kills", "1"],
+        [(gateway_kills, "play", lambda *_: Figures(1, np.float64(1.0), np.float64(1.1), 0, 9, 0, False))],
+    ),
+    "roll-back": (
+        [],
+        [(roll_back, "study", lambda *_: dict.fromkeys(roll_back.cases(1, 1), MOVED))],
+    ),
+    "compare --equal-limits": (["--equal-limits"], [(equal_limits, "study", equal)]),
+    "compare --random": (
+        ["--random", "1"],
+        [(random_rigs, "study", lambda *_: [
+            RigRow(0, OURS, 6.0, None, np.float64(1.5), 0.01, 30.0, 1.0, 1.5, 0.02, 0.002, 30.0, "COMPENSATING")])],
+    ),
+}  # fmt: skip
+
+
+def with_json() -> set[str]:
+    commands = typer.main.get_group(app).commands
+    return {name for name, one in commands.items() if any("--json" in option.opts for option in one.params)}
+
+
+def test_every_command_with_json_is_run() -> None:
+    assert with_json() == {*(name.split()[0] for name in PLAYED), *ELSEWHERE, "moves"}
+    for name, file in ELSEWHERE.items():
+        assert "--json" in (ROOT / "tests/studies" / file).read_text(), name
+
+
+@pytest.mark.parametrize("name", PLAYED)
+def test_json_is_printed_in_place_of_the_words_or_written_beside_them(
+    in_process: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path, name: str
+) -> None:
+    words, patches = PLAYED[name]
+    for where, what, instead in patches:
+        monkeypatch.setattr(where, what, instead)
+    printed = in_process("hil", name.split(maxsplit=1)[0], *words, "--json")
+    assert printed.returncode in (0, 1), printed.stderr
+    found = json.loads(printed.stdout)
+    file = tmp_path / "figures.json"
+    if patches:  # the others are not played a second time
+        written = in_process("hil", name.split(maxsplit=1)[0], *words, "--json", file)
+        assert written.returncode == printed.returncode
+        assert written.stdout and not written.stdout.startswith("{")
+        assert json.loads(file.read_text()) == found
+
+
+def test_json_of_the_moves(in_process: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen = repeated_moves.variants()[0]
+    figures, t_s = MoveFigures(np.float64(1.0), np.float64(0.5)), np.arange(3.0)
+    result = RepeatedResult((figures,) * chosen.moves, "COMPENSATING", t_s, (t_s,) * chosen.moves)
+    found = dict.fromkeys(repeated_moves.pieces(RIG, [chosen]), result)
+    monkeypatch.setattr(repeated_moves, "study", lambda *_: found)
+    printed = in_process("hil", "moves", "--only", chosen.name, "--json")
+    assert printed.returncode == 0, printed.stderr
+    assert json.loads(printed.stdout)
+
+
+def test_figures_are_plain_whatever_made_them() -> None:
+    found: dict[Any, object] = {
+        "a": np.bool_(True),
+        "b": np.int64(2),
+        "c": (np.float32(0.5), math.inf),
+        3: np.arange(2),
+        "d": math.nan,
+    }
+    assert json.loads(files.json_text(found)) == {"a": True, "b": 2, "c": [0.5, None], "3": [0, 1], "d": None}
+
+
+def test_a_rig_file_behind_json_is_not_overwritten(in_process: Command, tmp_path: pathlib.Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("rig: mine\n")
+    for program, name in (("hil", "faults"), ("rigctl", "demo")):
+        done = in_process(program, name, "--json", file)
+        assert done.returncode == 2
+        assert f"--json: found {file}, expected a file for the figures" in done.stderr
+    assert file.read_text() == "rig: mine\n"

@@ -1,0 +1,176 @@
+"""HOLD past the network, from the client's side: which daemon is meant, what is said, and a daemon of before."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import socket
+import threading
+from collections.abc import Iterator
+
+import msgspec
+import pytest
+
+from rigctl.client import local_hold
+from rigctl.config import layout
+from rigctl.control.faults import Fault
+from rigctl.control.hold_sockets import HoldSockets
+from rigctl.control.modes import Refusal
+from rigctl.ipc import runtime_folder as folders
+from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
+from rigctl.ipc.hold_socket import HoldAnswer
+from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+
+ENDPOINT = "tcp/127.0.0.1:7447"
+
+
+@pytest.fixture
+def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
+    monkeypatch.setattr(folders, "BASE", tmp_path)
+    monkeypatch.setattr(layout, "SHARED_MEMORY", tmp_path)
+    found = Runtime.of("paper_rig")
+    found.claim()
+    found.write_json(ACTIVE, {"settings": {"telemetry": {"listen": ENDPOINT}}})
+    return found
+
+
+@pytest.mark.parametrize("name", [PUBLIC, FORMER_PUBLIC])
+def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runtime: Runtime, name: str) -> None:
+    """An operator of the installed service, of this version or the one before."""
+    runtime.place(ACTIVE).unlink()
+    assert local_hold.folder_of(ENDPOINT, None) is None
+    runtime.write_json(name, {"rig": "paper_rig", "listen": ENDPOINT})
+    assert (found := local_hold.folder_of(ENDPOINT, None)) is not None
+    assert found.directory == runtime.directory
+
+
+@contextlib.contextmanager
+def loop(runtime: Runtime, answer: HoldAnswer | None) -> Iterator[list[str]]:
+    """A loop that takes HOLD and gives an answer, or none; yields the operators."""
+    sockets, taken, over = HoldSockets(runtime), list[str](), threading.Event()
+
+    def tick() -> None:
+        t_ns = 0
+        while not over.wait(0.001):
+            t_ns += 1_000_000
+            if (hold := sockets.take(t_ns)) is not None:
+                taken.append(hold.operator)
+                if answer is not None:
+                    sockets.answer(t_ns, answer)
+
+    thread = threading.Thread(target=tick)
+    thread.start()
+    try:
+        yield taken
+    finally:
+        over.set()
+        thread.join()
+        sockets.close()
+
+
+@contextlib.contextmanager
+def former_service(runtime: Runtime) -> Iterator[list[str]]:
+    """The hold service of the version before, word by word: a packet of JSON in, a packet of JSON out."""
+    asked = list[str]()
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    listener.bind(str(runtime.directory / "hold.sock"))
+    listener.listen(32)
+
+    def serve() -> None:
+        with contextlib.suppress(OSError):
+            connection, _ = listener.accept()
+            with connection:
+                asked.append(msgspec.json.decode(connection.recv(1024))["operator"])
+                text = "HOLD: stroke held at 52.30 mm, tension 300.0 N"
+                answer = {"accepted": True, "verb": "hold", "mode": "HOLD", "text": text, "via": "local socket"}
+                connection.send(msgspec.json.encode(answer))
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    yield asked
+    listener.shutdown(socket.SHUT_RDWR)
+    listener.close()
+    thread.join()
+
+
+def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
+    with loop(runtime, HoldAnswer(88, True, 0, 0, 0, 52.3, 300.04, "HOLD")) as taken:
+        answer = local_hold.hold(ENDPOINT, None, "kim")
+    assert taken == ["kim"]
+    assert answer == {
+        "accepted": True, "verb": "hold", "operator": "kim", "mode": "HOLD", "t_ns": 88, "value": 300.04,
+        "text": "HOLD: stroke held at 52.30 mm, tension 300.0 N", "via": "local socket",
+    }  # fmt: skip
+
+
+def test_the_loops_refusal_is_the_answer(runtime: Runtime) -> None:
+    refused = HoldAnswer(88, False, Refusal.WRONG_MODE, 0, Fault.NONE, 0.0, float("nan"), "DISARMED")
+    with loop(runtime, refused):
+        answer = local_hold.hold(ENDPOINT, None, "kim")
+    assert answer is not None
+    assert (answer["accepted"], answer["reason"], answer["mode"]) == (False, "wrong_mode", "DISARMED")
+    assert answer["text"] == "HOLD refused: hold is not possible in DISARMED: arm first"
+
+
+def test_a_loop_that_does_not_answer_leaves_the_network(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(local_hold, "ANSWER_S", 0.2)
+    with loop(runtime, None) as taken:
+        assert local_hold.hold(ENDPOINT, None, "kim") is None
+    assert taken == ["kim"]
+
+
+def test_sockets_of_a_loop_that_has_ended_leave_the_network(runtime: Runtime) -> None:
+    HoldSockets(runtime).close()
+    assert local_hold.hold(ENDPOINT, None, "kim") is None
+
+
+@pytest.mark.usefixtures("runtime")
+def test_without_a_socket_the_answer_is_none() -> None:
+    assert local_hold.folder_of(ENDPOINT, None) is not None
+    assert local_hold.hold(ENDPOINT, None, "kim") is None
+
+
+def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Runtime) -> None:
+    with former_service(runtime) as asked:
+        answer = local_hold.hold(ENDPOINT, None, "kim")
+    assert asked == ["kim"]
+    assert answer is not None
+    assert (answer["accepted"], answer["mode"], answer["via"]) == (True, "HOLD", "local socket")
+
+
+@pytest.mark.parametrize(
+    ("asked", "listen", "same"),
+    [
+        (ENDPOINT, ENDPOINT, True),
+        ("tcp/localhost:7447", ENDPOINT, True),
+        ("tcp/127.0.0.1:7447", "tcp/0.0.0.0:7447", True),
+        ("tcp/[::1]:7447", "tcp/[::]:7447", True),
+        ("tcp/127.0.0.1:7448", ENDPOINT, False),  # may be a tunnel to another computer
+        ("tcp/192.168.1.10:7447", "tcp/0.0.0.0:7447", False),
+        ("tcp/127.0.0.1:7447", "tcp/192.168.1.10:7447", False),
+        ("quic/127.0.0.1:7447", ENDPOINT, False),
+    ],
+)
+def test_only_the_daemon_at_the_endpoint_asked_for_is_meant(asked: str, listen: str, same: bool) -> None:
+    assert local_hold.same_endpoint(asked, listen) is same
+
+
+def test_the_folder_is_found_by_endpoint_rig_and_owner(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
+    def found(endpoint: str, rig: str | None) -> pathlib.Path | None:
+        folder = local_hold.folder_of(endpoint, rig)
+        return folder.directory if folder is not None else None
+
+    assert found(ENDPOINT, None) == runtime.directory
+    assert found(ENDPOINT, "paper_rig") == runtime.directory
+    assert found(ENDPOINT, "north_rig") is None
+    assert found("tcp/10.0.0.1:7447", None) is None
+    mine = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
+    assert found(ENDPOINT, None) is None
+
+
+@pytest.mark.parametrize("active", [b"", b"[" * 100_000, b"7", b'{"settings": 7}', b'{"settings": {"telemetry": []}}'])
+def test_a_folder_that_cannot_be_read_leaves_the_network(runtime: Runtime, active: bytes) -> None:
+    (runtime.directory / ACTIVE).write_bytes(active)
+    assert local_hold.folder_of(ENDPOINT, None) is None
