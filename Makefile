@@ -1,6 +1,6 @@
 # make demo   the daemon's main job on the simulated rig, judged       make lint   ruff and mypy strict
 # make test   the gate: smoke tests, then all in simulated time         make bench  timing against cyclictest
-# make test-live   all real processes in real time, studies
+# make check   what a change touches, in two minutes (FILE=... BASE=...)     make test-live   evidence: studies, real time
 # make test-machine   before a release: long runs, services in a systemd of their own, the guest kernel's bus faults
 # make deb    Debian packages, installable offline     make docs   the documentation site, which `rigctl page` serves
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
@@ -10,9 +10,11 @@ VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 SOAK ?= 1h
+BASE ?= main
+GATE := not real_time and not study and not long
 REAL_TIME := tests/guest tests/live tests/loop/test_pytest_plugin.py
 
-.PHONY: demo test test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb docs setup system
+.PHONY: demo test check test-live test-machine lint bench coverage mutation fuzz soak wheel lock deb docs setup system
 .DELETE_ON_ERROR:
 
 demo: $(STAMP)
@@ -22,15 +24,15 @@ demo: $(STAMP)
 test: $(STAMP) system
 	@mkdir -p results; export SMOKE_SUMMARY=$(CURDIR)/results/smoke.txt; rm -f $$SMOKE_SUMMARY; smoke=0; tests=0; \
 	$(PYTHON) -m pytest tests/guest tests/live -m smoke || smoke=$$?; \
-	$(PYTHON) -m pytest -m "not real_time and not study and not long" --numprocesses auto --dist worksteal || tests=$$?; \
+	TEST_DURATIONS=results/durations.json \
+	    $(PYTHON) -m pytest -m "$(GATE)" --numprocesses auto --dist worksteal || tests=$$?; \
 	exit $$((smoke > tests ? smoke : tests))
 
+check: $(STAMP)
+	$(PYTHON) -m tests.check --marks "$(GATE)" --base $(BASE) $(FILE:%=--file %)
+
 test-live: $(STAMP) system
-	$(PYTHON) -m pytest tests/studies tests/loop tests/live -m "study and not real_time and not smoke and not long" \
-	    --numprocesses auto --dist loadfile --no-loadscope-reorder
-	$(PYTHON) -m pytest $(REAL_TIME) -m "real_time and not alone and not smoke and not machine and not long" \
-	    --numprocesses auto --dist loadfile --no-loadscope-reorder
-	$(PYTHON) -m pytest $(REAL_TIME) -m "alone and not smoke and not machine and not long"
+	$(PYTHON) -m tests.evidence
 
 test-machine: $(STAMP) system
 	$(PYTHON) -m pytest -m "long and not real_time" --numprocesses auto

@@ -6,6 +6,7 @@ after the other; all others share the machine.
 
 from __future__ import annotations
 
+import json
 import os
 import pathlib
 import signal
@@ -36,6 +37,23 @@ settings.register_profile("search", deadline=None, suppress_health_check=[Health
 settings.load_profile("rigctl")
 
 
+_DURATIONS: dict[str, float] = {}
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Add up the seconds of each test file, for `tests.check`."""
+    file = report.location[0]
+    _DURATIONS[file] = _DURATIONS.get(file, 0.0) + report.duration
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Keep the seconds of the test files in the file named by ``TEST_DURATIONS``."""
+    name = os.environ.get("TEST_DURATIONS")
+    if name and not hasattr(session.config, "workerinput"):
+        rounded = {file: round(seconds, 1) for file, seconds in sorted(_DURATIONS.items())}
+        pathlib.Path(name).write_text(json.dumps(rounded, indent=0) + "\n")
+
+
 def pytest_sessionstart() -> None:
     """A shell's background job ignores SIGINT, one of `nohup` SIGHUP, and so would every process started here."""
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
@@ -47,11 +65,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Mark what lies in the folders of real-time tests."""
     for item in items:
         where = item.path.relative_to(HERE).as_posix()
+        marked_real = item.get_closest_marker("real_time") is not None
         if where.startswith(REAL_TIME) and not item.get_closest_marker("simulated_time"):
             item.add_marker(pytest.mark.real_time)
         elif where.startswith(STUDIES):
-            item.add_marker(pytest.mark.study)
-        elif item.get_closest_marker("real_time") and item.path.name != "test_pytest_plugin.py":
+            if not item.get_closest_marker("gate"):
+                item.add_marker(pytest.mark.study)
+        elif marked_real and item.path.name != "test_pytest_plugin.py":
             raise pytest.UsageError(f"{where}: a real-time test outside tests/live, where `make test-live` runs it")
 
 

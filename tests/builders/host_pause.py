@@ -21,6 +21,8 @@ from tests.builders import smoke
 PAUSE_MS = 20
 """Fewer skipped periods of 1 ms are within what a loaded machine does, and no test depends on them."""
 _SKIPPED = re.compile(r"(\d+) ticks skipped")
+PAUSED_MS = "paused_ms"
+"""Property of a test's report: the pause for which it was repeated."""
 _PAUSED = pytest.StashKey[int]()
 
 
@@ -83,6 +85,7 @@ def _paused(item: pytest.Item, runs: int) -> bool:
     paused_ms = item.stash.get(_PAUSED, 0)
     if item.get_closest_marker("smoke") is not None or runs > 1 or paused_ms < PAUSE_MS:
         return False
+    item.user_properties.append((PAUSED_MS, paused_ms))
     terminal = item.config.pluginmanager.get_plugin("terminalreporter")
     if terminal is not None:
         terminal.write_line(f"\n{item.nodeid}: failed while the host paused the loop for {paused_ms} ms; once more")

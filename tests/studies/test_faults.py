@@ -24,6 +24,7 @@ from rigctl.control.modes import Mode
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
 
+pytestmark = pytest.mark.gate
 RIG = ROOT / "config/paper_rig.yaml"
 PAGE = (ROOT / "docs/faults.md").read_text()
 

@@ -104,7 +104,7 @@ def test_the_loop_does_better_and_says_what_it_saw(tmp_path: pathlib.Path, write
 @pytest.mark.parametrize(
     "name",
     [
-        "jolt",
+        pytest.param("jolt", marks=pytest.mark.gate),
         "vertical_10mm",
         *(pytest.param(name, marks=pytest.mark.long) for name in ("mass_change", "shake_3hz", "level_runout")),
     ],
