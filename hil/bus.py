@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import select
 import socket
-import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable
 from time import time
 
 import can
@@ -17,6 +15,8 @@ from can.typechecking import CanFilters
 from hil.hub import Hub
 from hil.wire import ERROR_FLAG, EXTENDED_FLAG, FRAME, FRAME_SIZE, STANDARD_MASK, frame_of, message_of
 
+PassTime = Callable[[Callable[[], bool], float], None]
+"""Let simulated time pass until the function returns true, for that many seconds at most."""
 _GONE = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EBADF})
 
 
@@ -111,17 +111,16 @@ class RigSimBus(_SimulatedBus):
 class InProcessBus(_SimulatedBus):
     """The same wire within one process, for lockstep: a frame has arrived when ``send`` returns.
 
-    Receive stamps are the hub's time (s); ``recv`` may also block in a thread of its own.
+    Receive stamps are the hub's time (s). A ``recv`` with a time-out lets simulated time pass until a frame has come.
     """
 
-    def __init__(self, hub: Hub, can_filters: CanFilters | None = None) -> None:
+    def __init__(self, hub: Hub, can_filters: CanFilters | None = None, pass_time: PassTime | None = None) -> None:
+        """``pass_time``: for a ``recv`` with a time-out; without it no time passes."""
         self.channel_info = "rigsim in process"
         self._hub = hub
         self._frames: deque[bytes] = deque()
-        self._arrival = threading.Condition()
-        self._waiters = 0
+        self._pass_time = pass_time
         self._accepted: bytes | None = None
-        self._listeners: Sequence[can.Listener] = ()
         self._port = hub.attach(self._take)
         super().__init__(channel="in-process", can_filters=can_filters)
 
@@ -129,46 +128,28 @@ class InProcessBus(_SimulatedBus):
         """Deliver a frame to every other port of the hub."""
         self._port.send(frame_of(msg))
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame; None: none has come within ``timeout`` seconds of simulated time."""
+        if timeout and not self._frames and self._pass_time is not None:
+            self._pass_time(lambda: bool(self._frames), timeout)
+        return super().recv(0)
+
     def shutdown(self) -> None:
         """Leave the hub."""
         super().shutdown()
         self._hub.detach(self._port)
 
-    @contextlib.contextmanager
-    def heard_at_once(self, listeners: Sequence[can.Listener]) -> Iterator[None]:
-        """Hand each frame to ``listeners`` before ``send`` returns, so that no answer depends on a thread's turn."""
-        self._listeners = listeners
-        try:
-            yield
-        finally:
-            self._listeners = ()
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if not self._frames and (timeout == 0 or not self._wait(timeout)):
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:  # noqa: ARG002 - never waits
+        if not self._frames:
             return None, True
         now_ns = self._hub.now_ns
         message = message_of(self._frames.popleft(), now_ns() * 1e-9 if now_ns else 0.0)
         return message, not (self._accepted and message.is_extended_id)
 
-    def _wait(self, timeout: float | None) -> bool:
-        with self._arrival:
-            self._waiters += 1
-            try:
-                return self._arrival.wait_for(lambda: bool(self._frames), timeout)
-            finally:
-                self._waiters -= 1
-
     def _take(self, frame: bytes) -> None:
         if self._accepted is not None and not _accepts(self._accepted, frame):
             return
         self._frames.append(frame)
-        if self._listeners:
-            if (message := self.recv(0)) is not None:
-                for listener in self._listeners:
-                    listener(message)
-        elif self._waiters:
-            with self._arrival:
-                self._arrival.notify()
 
     def _apply_filters(self, filters: CanFilters | None) -> None:
         self._accepted = _acceptance(filters) if filters else None

@@ -5,9 +5,7 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import tempfile
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -30,7 +28,7 @@ from rigctl.ipc.record import HOLD_ID
 from rigctl.ipc.runtime_folder import Runtime
 
 START_NS = 1_000_000_000
-PASSING_NS, PASSING_S = 10_000_000, 0.001  # step while start-up waits for devices, and the pause of its thread
+PASSING_NS = 1_000_000  # step of the rig's time while start-up waits for an answer
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
 LIMIT_S = 3.0
@@ -90,16 +88,16 @@ class Lockstep:
         """
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
-        self.rig_ns = START_NS
+        self.rig_ns = START_NS - round(startup.listened_s(settings) * 1e9)  # devices that answer at once: up by then
         self.hub = Hub(lambda: self.rig_ns)
         port = self.hub.attach(self._to_rig)
-        self.rig: SimulatedRig = SimulatedRig(built or settings, START_NS, port.send)
+        self.rig: SimulatedRig = SimulatedRig(built or settings, self.rig_ns, port.send)
         self._stranger = self.hub.attach(lambda _frame: None)
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
-        self._bus = bus = InProcessBus(self.hub)
+        self._bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)
         self.report = self._bring_up()
-        self.clock = SkippingClock(settings.loop.period_ns, self._advance, self.rig_ns, self._pass_to)
+        self.clock = self._clock_of_now()
         self._records = runtime.records.reader()
         self._replies = runtime.replies.reader()
         self._commands = runtime.commands.writer()
@@ -136,36 +134,27 @@ class Lockstep:
         if self.loop.machine.starts_anew:
             last = LastStroke(self.loop.inbox.stroke_mm)
             self.report = self._bring_up()
+            self.clock = self._clock_of_now()
             self.loop = self._make_loop(last)
 
     def _bring_up(self) -> startup.StartupReport:
-        simulation = self.settings.simulation
-        with self._time_passing() if simulation and simulation.devices.slow else nullcontext():
-            return startup.bring_up(self._bus, self.settings, heard=self._bus.heard_at_once)
+        return startup.bring_up(self._bus, self.settings, lambda: self.rig_ns)
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
 
-    @contextlib.contextmanager
-    def _time_passing(self) -> Iterator[None]:
-        """Advance the rig as fast as this machine can while start-up waits for slow devices."""
-        done = threading.Event()
+    def _clock_of_now(self) -> SkippingClock:
+        """The loop's clock, whose next grid point is the first ahead of the rig's time."""
+        period_ns = self.settings.loop.period_ns
+        return SkippingClock(period_ns, self._advance, self.rig_ns - self.rig_ns % period_ns, self._pass_to)
 
-        def pass_time() -> None:
-            while not done.is_set():
-                with self.hub.turn:
-                    self.rig_ns += PASSING_NS
-                    self.rig.advance(self.rig_ns)
-                    self.rig.supervise(self.rig_ns)
-                done.wait(PASSING_S)
-
-        thread = threading.Thread(target=pass_time)
-        thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            thread.join()
+    def _pass_time(self, arrived: Callable[[], bool], seconds: float) -> None:
+        """Advance the rig while start-up waits for a frame."""
+        end_ns = self.rig_ns + round(seconds * 1e9)
+        while self.rig_ns < end_ns and not arrived():
+            self.rig_ns = min(self.rig_ns + PASSING_NS, end_ns)
+            self.rig.advance(self.rig_ns)
+            self.rig.supervise(self.rig_ns)
 
     def _pass_to(self, t_ns: int) -> None:
         self.rig_ns = t_ns + WORK_NS

@@ -138,7 +138,8 @@ def run(directory: str) -> int:
         return EXIT_CANNOT_START
     try:
         bus = open_bus(settings)
-        report = startup.bring_up(bus, settings, _say)
+        clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
+        report = startup.bring_up(bus, settings, clock.now, _say)
     except startup.StartupError as error:
         sys.stderr.write(f"rigctl: {error}\n")
         return EXIT_CANNOT_START
@@ -149,7 +150,6 @@ def run(directory: str) -> int:
     warm_up(settings, gains, runtime, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
-    clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
     history = cell_history(runtime.records.reader())
     holds = HoldSockets(runtime)
@@ -187,7 +187,7 @@ def run(directory: str) -> int:
     anew = loop.machine.starts_anew
     if loop.drive_off and not anew:
         bus.set_filters(None)
-        startup.release(bus, settings)
+        startup.release(bus, settings, clock.now)
     bus.shutdown()
     holds.close()
     realtime.leave()  # not earlier: until its release the drive supervises us

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import struct
-import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
@@ -16,6 +15,7 @@ import canopen
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.sdo import Watched
+from rigctl.devices.startup_bus import StartupBus
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
 _MOST_SEGMENTS = 4  # no object read here needs more than one
@@ -64,14 +64,14 @@ class StopSetting:
 class RemoteNode:
     """One device under configuration, with errors that name it."""
 
-    def __init__(self, network: canopen.Network, settings: RigSettings, section: str, name: str) -> None:
+    def __init__(self, bus: StartupBus, settings: RigSettings, section: str, name: str) -> None:
         """``section``: the device's section in the rig file."""
         device = getattr(settings, section)
         self.name, self.id = name, int(device.node)
         self._section, self._device = section, device
         self._channel = f"{settings.can.interface}:{settings.can.channel}"
-        self.remote = network.add_node(canopen.RemoteNode(self.id, str(settings.file(device.eds))))
-        self.remote.sdo.RESPONSE_TIMEOUT = device.sdo_timeout_ms * 1e-3
+        self._bus = bus
+        self.remote = bus.add(self.id, settings.file(device.eds), device.sdo_timeout_ms * 1e-3)
         self._verified: dict[tuple[int, int], Watched] = {}
 
     @property
@@ -180,8 +180,8 @@ class RemoteNode:
             self.watch(wanted, index, sub, name)
         return found
 
-    def await_boot(self, until_s: float, say: Callable[[str], None]) -> None:
-        """Wait until the device answers, at most until ``until_s`` (time.monotonic).
+    def await_boot(self, until_ns: int, say: Callable[[str], None]) -> None:
+        """Wait until the device answers, at most until ``until_ns``.
 
         Raises:
             StartupError: it does not answer, or its answer is no SDO answer.
@@ -191,13 +191,14 @@ class RemoteNode:
             try:
                 self.read(od.DEVICE_TYPE)
             except SilentError:
-                left_s = until_s - time.monotonic()
+                left_s = (until_ns - self._bus.now_ns()) * 1e-9
                 if left_s <= 0:
                     raise
                 if not waited:
                     say(f"waiting for {self.name} (node {self.id}), for {left_s:.0f} s more at most (can.boot_wait_s)")
                     waited = True
-                time.sleep(min(left_s, _ASK_AGAIN_S))  # a wrong answer may come at once
+                again_ns = self._bus.until_ns(min(left_s, _ASK_AGAIN_S))  # a wrong answer may come at once
+                self._bus.hear(lambda: False, again_ns)
             else:
                 break
         if waited:

@@ -6,16 +6,12 @@ one line that names device, object, found and expected.
 
 from __future__ import annotations
 
-import contextlib
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import can
-import canopen
 
 from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
 from rigctl.config.settings import RigSettings
@@ -36,11 +32,11 @@ from rigctl.devices.process_data import (
 )
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
 from rigctl.devices.sdo import Watched
+from rigctl.devices.startup_bus import StartupBus
 
 __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
 _LISTENED_HEARTBEATS = 2.5
-_CYCLE_S = 0.01  # longest wait of the thread for a frame: its end takes no longer
 _INHIBIT_UNITS_PER_MS = 10
 _SAME_SCALE = 1e-6  # relative: two values of the same scale differ by rounding at most
 _METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
@@ -93,17 +89,17 @@ class StartupReport:
         }
 
 
-def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
+def refuse_rival(bus: StartupBus, settings: RigSettings) -> None:
     """Listen before sending: another controller's SYNC or heartbeat on the bus ends the start.
 
     Raises:
         StartupError: there is another controller, or the interface is down.
     """
     ours = (od.SYNC_COB, od.HEARTBEAT_BASE + settings.can.controller_node)
-    until = time.monotonic() + settings.can.heartbeat_ms * 1e-3 * _LISTENED_HEARTBEATS
-    while (left := until - time.monotonic()) > 0:
+    until_ns = bus.until_ns(listened_s(settings))
+    while bus.now_ns() < until_ns:
         try:
-            message = bus.recv(left)
+            message = bus.receive(until_ns)
         except can.CanError as error:
             raise StartupError(
                 f"{settings.can.interface}:{settings.can.channel} cannot be read: {error} (is the interface up?)"
@@ -115,48 +111,38 @@ def refuse_rival(bus: can.BusABC, settings: RigSettings) -> None:
             )
 
 
-@contextlib.contextmanager
-def heard_by_a_thread(bus: can.BusABC, listeners: Sequence[can.Listener]) -> Iterator[None]:
-    """A thread of python-can's hands each frame of the bus to ``listeners``."""
-    notifier = can.Notifier(bus, list(listeners), _CYCLE_S)
-    try:
-        yield
-    finally:
-        notifier.stop()
+def listened_s(settings: RigSettings) -> float:
+    """How long a start listens for another controller, in seconds."""
+    return settings.can.heartbeat_ms * 1e-3 * _LISTENED_HEARTBEATS
 
 
 def bring_up(
-    bus: can.BusABC,
-    settings: RigSettings,
-    say: Callable[[str], None] = lambda _line: None,
-    heard: Callable[[Sequence[can.Listener]], AbstractContextManager[None]] | None = None,
+    bus: can.BusABC, settings: RigSettings, now_ns: Callable[[], int], say: Callable[[str], None] = lambda _line: None
 ) -> StartupReport:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
-    ``say``: called with one line for each wait. ``heard``: how the devices' answers reach listeners meanwhile, a
-    thread by default.
+    ``now_ns``: the clock of ``bus``, see `StartupBus`. ``say``: called with one line for each wait.
 
     Devices with plain frames need no configuration; the loop's preflight checks that they send.
 
     Raises:
         StartupError: one line.
     """
-    refuse_rival(bus, settings)
-    network = canopen.Network(bus)
+    line = StartupBus(bus, now_ns)
+    refuse_rival(line, settings)
     try:
-        with heard_by_a_thread(bus, network.listeners) if heard is None else heard(network.listeners):
-            return _configure(network, settings, say)
+        return _configure(line, settings, say)
     except can.CanError as error:
         raise StartupError(f"{settings.can.interface}:{settings.can.channel}: {error}") from None
 
 
-def _configure(network: canopen.Network, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
-    nodes = {device: RemoteNode(network, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
+def _configure(bus: StartupBus, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
+    nodes = {device: RemoteNode(bus, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
-    until_s = time.monotonic() + settings.can.boot_wait_s
+    until_ns = bus.until_ns(settings.can.boot_wait_s)
     for node in nodes.values():
-        node.await_boot(until_s, say)
+        node.await_boot(until_ns, say)
     pdos = wanted(settings).frames
     frames = {}
     devices = [node.identity(_device_type(settings, device)) for device, node in nodes.items()]
@@ -421,21 +407,15 @@ def _supervise(drive: RemoteNode, settings: RigSettings, units: DriveUnits) -> t
     return tuple(drive.enforce(*setting) for setting in wanted)
 
 
-def release(bus: can.BusABC, settings: RigSettings) -> None:
+def release(bus: can.BusABC, settings: RigSettings, now_ns: Callable[[], int]) -> None:
     """End the drive's supervision of heartbeat and commands before a daemon ends; the drive is off, its brake closed.
 
     Without this the drive would miss our heartbeat and be in fault at the next start. Best effort: a drive that does
     not answer keeps its supervision, which is safe.
     """
-    network = canopen.Network(bus)
-    network.NOTIFIER_CYCLE = 0.01
-    network.connect()
     try:
-        drive = RemoteNode(network, settings, "cylinder", _DEVICES["cylinder"][0])
+        drive = RemoteNode(StartupBus(bus, now_ns), settings, "cylinder", _DEVICES["cylinder"][0])
         drive.write(0, od.RPDO1_COMMUNICATION, 5, verify=False)
         drive.write(0, od.CONSUMER_HEARTBEAT, 1, verify=False)
     except (StartupError, can.CanError):
         return
-    finally:
-        if network.notifier is not None:
-            network.notifier.stop()

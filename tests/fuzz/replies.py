@@ -7,18 +7,15 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 
-from hil.bus import InProcessBus
-from hil.hub import Hub, Port
-from hil.rig import SimulatedRig
+from hil.hub import Port
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
-from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
+from tests.builders.rig_on_hub import RigOnHub
 from tests.fuzz.judge import Tally
 
 TIMEOUT_MS = 20
-START_NS = 1_000_000_000
 _ABORTS = (0x05030000, 0x05040000, 0x06010000, 0x06020000, 0x06070010, 0x06090030, 0x08000000, 0)
 Answer = Callable[[bytes, random.Random], list[bytes]]
 
@@ -122,14 +119,10 @@ def play(settings: RigSettings, count: int, seed: int) -> Tally:
         }
     )
     for i in range(count):
-        hub = Hub(lambda: START_NS)
-        port = hub.attach(lambda frame: rig.receive(frame))  # noqa: B023, PLW0108 - the rig is made after the port
-        rig = SimulatedRig(quick, START_NS, port.send)
-        liar = Liar(quick, port, chance)
-        hub.tap = liar.tap
-        bus = InProcessBus(hub)
-        tally.attempt("start-up", str(i).encode(), lambda: startup.bring_up(bus, quick), (StartupError,))  # noqa: B023
-        bus.shutdown()
+        rig = RigOnHub(quick)
+        liar = Liar(quick, rig.port, chance)
+        rig.hub.tap = liar.tap
+        tally.attempt("start-up", str(i).encode(), rig.bring_up, (StartupError,))
         for kind in liar.told:
             tally.tried[f"answered: {kind}"] += 1
     return tally

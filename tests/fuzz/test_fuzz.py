@@ -8,9 +8,7 @@ import struct
 
 import pytest
 
-from hil.bus import InProcessBus
-from hil.hub import Hub, Port
-from hil.rig import SimulatedRig
+from hil.hub import Port
 from hil.wire import FRAME
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
@@ -20,10 +18,10 @@ from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.devices import objects as od
-from rigctl.devices import startup
 from rigctl.devices.remote_node import StartupError
 from rigctl.wire.command_request import RequestError, parse
 from tests.builders.paths import ROOT
+from tests.builders.rig_on_hub import RigOnHub
 from tests.fuzz import commands, files, frames, mutate, replies, startup_files
 from tests.fuzz.judge import Tally
 
@@ -107,24 +105,18 @@ def test_what_is_wrong_is_found() -> None:
 
 def answering(settings: RigSettings, lie: object) -> str:
     """Message of the start-up when every SDO response of the devices is replaced."""
-    hub = Hub(lambda: replies.START_NS)
-    port = hub.attach(lambda frame: rig.receive(frame))  # noqa: PLW0108 - the rig is made after the port
-    rig = SimulatedRig(settings, replies.START_NS, port.send)
+    rig = RigOnHub(settings)
 
     def tap(sender: Port, frame: bytes) -> list[bytes]:
         can_id, length, data = FRAME.unpack(frame)
-        if sender is not port or can_id not in {od.SDO_TX_BASE + node for node in settings.canopen_nodes.values()}:
+        if sender is not rig.port or can_id not in {od.SDO_TX_BASE + node for node in settings.canopen_nodes.values()}:
             return [frame]
         said = lie(data[:length])  # type: ignore[operator]
         return [FRAME.pack(can_id, len(said), said)]
 
-    hub.tap = tap
-    bus = InProcessBus(hub)
-    try:
-        with pytest.raises(StartupError) as error:
-            startup.bring_up(bus, settings)
-    finally:
-        bus.shutdown()
+    rig.hub.tap = tap
+    with pytest.raises(StartupError) as error:
+        rig.bring_up()
     return str(error.value)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import pathlib
+import time
 from collections.abc import Iterator
 
 import can
@@ -15,6 +16,7 @@ from rigctl.control.control_process import open_bus, receive_filters
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
 from rigctl.devices.startup import StartupError, refuse_rival
+from rigctl.devices.startup_bus import StartupBus
 from tests.builders.waiting import patience_s
 from tests.guest.inside.guest_rig import BUS, Cable, link, rig_file
 
@@ -50,7 +52,7 @@ def test_an_interface_that_is_down_is_one_clear_line(tmp_path: pathlib.Path) -> 
     link("vcan1", "down")
     refusal = r"^socketcan:vcan1 cannot be read: .* \(is the interface up\?\)$"
     with open_bus(settings) as bus, pytest.raises(StartupError, match=refusal):
-        refuse_rival(bus, settings)
+        refuse_rival(StartupBus(bus, time.monotonic_ns), settings)
     link("vcan1", "up")
 
 

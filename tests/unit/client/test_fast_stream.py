@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import time
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any, cast
@@ -13,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.client import stream
 from rigctl.client.block_order import BlockSource
 from rigctl.client.mailbox import Mailbox
 from rigctl.client.samples import Blocks
 from rigctl.client.shapes import Refusals
-from rigctl.client.stream import AGAIN_S
 from rigctl.client.stream_source import Question
 from rigctl.ipc.record import RECORD
 from rigctl.wire import block
@@ -135,7 +134,9 @@ def test_a_gap_that_no_answer_fills_is_lost(silent: bool) -> None:
     assert (reader.count.lost, reader.count.produced) == (10, 30)
 
 
-def test_a_gateway_that_was_away_is_queried_again() -> None:
+def test_a_gateway_that_was_away_is_queried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s = [100.0]
+    monkeypatch.setattr(stream, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     gateway = Gateway(range(1, 100))
     gateway.silent = True
     reader = reading(gateway)
@@ -144,7 +145,7 @@ def test_a_gateway_that_was_away_is_queried_again() -> None:
     assert numbers(reader.arrived()) == []  # too soon for another query
     assert gateway.queries == 1
     gateway.silent = False
-    time.sleep(AGAIN_S)
+    now_s[0] += stream.AGAIN_S
     assert numbers(reader.arrived()) == list(range(11, 41))
     assert (reader.count.lost, reader.count.recovered) == (0, 10)
 

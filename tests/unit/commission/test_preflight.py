@@ -22,7 +22,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
-from tests.builders.waiting import patience_s
+from tests.builders.waiting import until
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 assert PAPER.calibration is not None
@@ -167,17 +167,12 @@ def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_pat
     standing = [Standing(due=f"{now + timedelta(days=9):%Y-%m-%dT%H:%M:%SZ}", tared=f"{now:%Y-%m-%dT%H:%M:%SZ}")]
     watched = Preflight(runtime, settings, lambda: standing[0])
     try:
-        assert set(watched.verdict(time.monotonic_ns()).failing) == {Check.MARGINS, Check.REALTIME}
+        until(lambda: set(watched.verdict(time.monotonic_ns()).failing) == {Check.MARGINS, Check.REALTIME})
         runtime.write_json("active.json", GOOD["active"])
         runtime.write_json("control.json", GOOD["control"])
-        until = time.monotonic() + patience_s()
-        while watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
-            time.sleep(0.02)
-        assert watched.verdict(time.monotonic_ns()) == PreflightVerdict({}, {})
+        until(lambda: watched.verdict(time.monotonic_ns()) == PreflightVerdict({}, {}))
         standing[0] = replace(standing[0], tared=None)
-        while not watched.verdict(time.monotonic_ns()).failing and time.monotonic() < until:
-            time.sleep(0.02)
-        assert watched.verdict(time.monotonic_ns()).host_checks == Check.TARE
+        until(lambda: watched.verdict(time.monotonic_ns()).host_checks == Check.TARE)
     finally:
         watched.close()
     assert watched.verdict(time.monotonic_ns() + 2 * preflight.STALE_NS).host_checks == Check.HOST  # renewed no more

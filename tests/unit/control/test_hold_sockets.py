@@ -7,6 +7,7 @@ import os
 import pathlib
 import pwd
 import socket
+import struct
 import subprocess
 import sys
 import threading
@@ -20,6 +21,7 @@ from rigctl.control.hold_sockets import REST_NS, Hold, HoldSockets
 from rigctl.ipc import hold_socket
 from rigctl.ipc.hold_socket import HoldAnswer, socket_name
 from rigctl.ipc.runtime_folder import Runtime
+from tests.builders.waiting import patience_s
 
 TICK_NS = 1_000_000
 ANSWER = HoldAnswer(7, True, 0, 0, 0, 52.3, 300.0, "HOLD")
@@ -188,12 +190,12 @@ def test_in_a_flood_the_next_tick_but_two_takes_another_users_hold(rig: Ticks) -
 
 
 def lingering() -> tuple[socket.socket, socket.socket]:
-    """A TCP socket whose last close waits a minute, or for its peer's end: it has sent what that does not read."""
+    """A TCP socket whose last close waits an hour, or for its peer's end: it has sent what that does not read."""
     listener = socket.create_server(("127.0.0.1", 0))
     one = socket.create_connection(listener.getsockname())
     peer = listener.accept()[0]
     listener.close()
-    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\x3c\0\0\0")
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 3600))
     one.setblocking(False)
     with contextlib.suppress(BlockingIOError):
         while True:
@@ -205,7 +207,7 @@ def lingering() -> tuple[socket.socket, socket.socket]:
 def test_a_descriptor_sent_along_is_never_closed_in_a_tick(
     runtime: Runtime, monkeypatch: pytest.MonkeyPatch, kernel_refuses: bool
 ) -> None:
-    """Its close would stop the loop for a minute: the socket's own time limit of this test is shorter."""
+    """Its close would stop the loop for an hour."""
     if not kernel_refuses:
         monkeypatch.setattr(hold_sockets, "_SO_PASSRIGHTS", 0xFFFF)  # as before Linux 6.16
     rig = Ticks(runtime)
@@ -221,7 +223,7 @@ def test_a_descriptor_sent_along_is_never_closed_in_a_tick(
         one.send(b"kim")
         thread = threading.Thread(target=lambda: rig.ticks(100), daemon=True)
         thread.start()
-        thread.join(20.0)
+        thread.join(patience_s())
         assert not thread.is_alive(), "a tick waits for the close of a descriptor"
         if any(hold.closed for hold in rig.taken):
             assert rig.taken == [Hold(OWN, os.getpid(), "eve", closed=True)]  # a HOLD, and the last of this user

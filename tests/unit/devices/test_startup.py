@@ -3,18 +3,11 @@
 from __future__ import annotations
 
 import struct
-import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 import can
 import pytest
 
-from hil.bus import InProcessBus
-from hil.hub import Hub
-from hil.rig import SimulatedRig
 from hil.wire import FRAME
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.settings import RigSettings
@@ -22,63 +15,28 @@ from rigctl.devices import busload, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
 from rigctl.devices.remote_node import StartupError
+from rigctl.devices.startup_bus import StartupBus
 from tests.builders.rig_bench import SETTINGS, changed
+from tests.builders.rig_on_hub import START_NS, RigOnHub
 from tests.unit.control.test_plain_inbox import Queue
 from tests.unit.hil.test_parameter_sets import with_set
 
 CELL, SLOPE, DRIVE = 2, 3, 4
-START_NS = 1_000_000_000
-STEP_NS = 10_000_000
 PER_MM = 209_715.2
 
 
-class Devices:
+class Devices(RigOnHub):
     """A simulated rig that is switched on; ``asked`` collects the SDO requests sent to it."""
 
     def __init__(self, settings: RigSettings) -> None:
-        self.settings = quick(settings)
-        self.t_ns = START_NS
         self.asked: list[bytes] = []
-        self.hub = Hub(lambda: self.t_ns)
-        port = self.hub.attach(self._take)
-        self.rig = SimulatedRig(self.settings, START_NS, port.send)
+        super().__init__(settings)
 
-    def _take(self, frame: bytes) -> None:
+    def take(self, frame: bytes) -> None:
         can_id, _, data = FRAME.unpack(frame)
         if can_id & ~0x7F == od.SDO_RX_BASE:
             self.asked.append(bytes([can_id & 0x7F]) + data)
-        self.rig.receive(frame)
-
-    def bring_up(self) -> startup.StartupReport:
-        self.said: list[str] = []
-        bus = InProcessBus(self.hub)
-        try:
-            with self._time_passing():
-                return startup.bring_up(bus, self.settings, self.said.append)
-        finally:
-            bus.shutdown()
-
-    @contextmanager
-    def _time_passing(self) -> Iterator[None]:
-        """Advance the time for slow devices; the others answer at once."""
-        done = threading.Event()
-
-        def pass_time() -> None:
-            while not done.wait(0.001):
-                with self.hub.turn:
-                    self.t_ns += STEP_NS
-                    self.rig.advance(self.t_ns)
-                    self.rig.supervise(self.t_ns)
-
-        thread = threading.Thread(target=pass_time)
-        if self.settings.simulation is not None and self.settings.simulation.devices.slow:
-            thread.start()
-        try:
-            yield
-        finally:
-            done.set()
-            if thread.ident is not None:
-                thread.join()
+        super().take(frame)
 
     def written(self, node: int, index: int) -> list[tuple[int, int]]:
         """What was written to the sub-indices of an object."""
@@ -88,10 +46,6 @@ class Devices:
             if request[0] == node and command & 0xE0 == 0x20 and at == index:
                 found.append((sub, value))
         return found
-
-
-def quick(settings: RigSettings) -> RigSettings:
-    return changed(settings, can={"heartbeat_ms": 5})
 
 
 def refusal(settings: RigSettings) -> str:
@@ -244,11 +198,13 @@ def test_devices_that_boot_are_waited_for_and_named() -> None:
 def test_a_device_that_does_not_boot_is_given_up_by_name() -> None:
     settings = changed(with_set("slow_boot"), can={"boot_wait_s": 0.2}, tension_cell={"sdo_timeout_ms": 50})
     settings = changed(settings, simulation={"devices": {"boot_s": 60.0}})
-    began = time.monotonic()
-    said = refusal(settings)
+    devices = Devices(settings)
+    with pytest.raises(StartupError) as raised:
+        devices.bring_up()
+    said = str(raised.value)
     assert said.startswith("tension cell (node 2) does not answer")
     assert "within 50 ms (tension_cell.sdo_timeout_ms)" in said
-    assert time.monotonic() - began > 0.2
+    assert devices.t_ns - START_NS > 200_000_000
 
 
 def test_a_slow_device_is_heard_out_within_its_own_time_out() -> None:
@@ -279,7 +235,7 @@ def test_another_controller_on_the_bus_ends_the_start(can_id: int) -> None:
     bus.send(can.Message(arbitration_id=od.HEARTBEAT_BASE + DRIVE, data=b"\x05", is_extended_id=False))
     bus.send(can.Message(arbitration_id=can_id, is_extended_id=False))
     with pytest.raises(StartupError):
-        startup.refuse_rival(bus, SETTINGS)
+        startup.refuse_rival(StartupBus(bus, lambda: 0), SETTINGS)
 
 
 @pytest.mark.parametrize(("node", "pdo"), [(CELL, od.CELL_TPDO), (SLOPE, od.SLOPE_TPDO), (DRIVE, od.DRIVE_TPDO)])
