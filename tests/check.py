@@ -110,7 +110,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     sys.stdout.write(f"{len(change)} changed files: {len(run)} test files, {len(left)} more do not fit\n")
     sys.stdout.flush()
     words = ["-m", "pytest", *run, "-m", chosen.marks, "--numprocesses", "auto", "--dist", "worksteal"]
-    code = subprocess.run([sys.executable, *words], cwd=ROOT, check=False).returncode
+    environment = {name: value for name, value in os.environ.items() if name != "TEST_DURATIONS"}  # of the whole run
+    code = subprocess.run([sys.executable, *words], cwd=ROOT, env=environment, check=False).returncode
     return 0 if code == NO_TESTS else code  # none of them belongs to the gate
 
 

@@ -38,6 +38,7 @@ def true_ms(real: RigSettings, settings: RigSettings) -> float:
     return float(np.abs(true_sensitivities(true_plant(real), *acting, FINE_HZ)).max())
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("spring_n_mm", "as_built"),
     [(6.0, {"delay_scale": 2.0}), pytest.param(34.0, {"mechanism": 60.0}, marks=pytest.mark.long)],

@@ -24,6 +24,7 @@ def learns(settings: RigSettings) -> RigSettings:
     return settings.model_copy(update={"learning": LEARNING})
 
 
+@pytest.mark.study
 def test_what_repeats_from_move_to_move_is_taken_away(settings: RigSettings) -> None:
     stiff = changed(settings, plant={"spring_n_mm": 34.0})
     gains = design_and_check(stiff).gains

@@ -65,6 +65,7 @@ def check_form(entry: dict[str, Any], mode: Mode, settings: RigSettings) -> None
     assert len(msgspec.json.encode(entry)) < 12_000
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("mode", "spring_n_mm", "as_built"),
     [

@@ -84,6 +84,7 @@ def test_a_cell_that_drifts_moves_the_load_by_a_tenth_at_most(drift_n_s: float) 
         assert found.worst_n < UNSEEN * 300.0
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("spring_n_mm", [6.0, pytest.param(34.0, marks=pytest.mark.long)])
 def test_a_cell_frozen_on_the_set_point_is_found_in_the_time_computed(spring_n_mm: float) -> None:
     settings = rig(spring_n_mm)
