@@ -28,6 +28,7 @@ from rigctl.ipc.record import HOLD_ID
 from rigctl.ipc.runtime_folder import Runtime
 
 START_NS = 1_000_000_000
+STARTING_NS = 500_000_000  # devices that answer at once are up by START_NS
 PASSING_NS = 1_000_000  # step of the rig's time while start-up waits for an answer
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
@@ -88,7 +89,7 @@ class Lockstep:
         """
         runtime.make_rings(settings)
         self.settings, self.runtime = settings, runtime
-        self.rig_ns = START_NS - round(startup.listened_s(settings) * 1e9)  # devices that answer at once: up by then
+        self.rig_ns = START_NS - STARTING_NS
         self.hub = Hub(lambda: self.rig_ns)
         port = self.hub.attach(self._to_rig)
         self.rig: SimulatedRig = SimulatedRig(built or settings, self.rig_ns, port.send)
@@ -97,6 +98,7 @@ class Lockstep:
         self.frames: list[tuple[int, bytes]] = self.hub.log
         self._bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)
         self.report = self._bring_up()
+        self._pass_time(lambda: False, (START_NS - self.rig_ns) * 1e-9)
         self.clock = self._clock_of_now()
         self._records = runtime.records.reader()
         self._replies = runtime.replies.reader()
@@ -206,7 +208,11 @@ class Lockstep:
         """
         if limit_s is None:
             limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
-        return self._answer(repr(verb), self.give(verb, *values, age_ns=age_ns).__eq__, limit_s)
+        return self.answer(self.give(verb, *values, age_ns=age_ns), limit_s, repr(verb))
+
+    def answer(self, id_: int, limit_s: float = LIMIT_S, what: str = "a command") -> Refusal:
+        """Run until the loop replies to the command ``id_``, or find the reply that has come."""
+        return self._answer(what, id_.__eq__, limit_s)
 
     def hold(self, *, limit_s: float = 3.0) -> Refusal:
         """Give HOLD as a user of the rig's computer and run until the loop replies."""

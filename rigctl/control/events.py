@@ -14,10 +14,12 @@ from rigctl.control.checks import Check
 from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
+from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import POSITION, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
+from rigctl.devices.objects import DriveState
 from rigctl.ipc.record import NEVER_AGE_NS
 
 
@@ -236,10 +238,25 @@ def refusal_text(
             return f"{verb.name.lower()} is not possible in {mode.name}{_HINT.get((mode, verb), '')}"
         case Refusal.STOP_RUNNING:
             return f"the drive is still stopping or closing its brake ({value:.2f} mm/s): wait a second, then reset"
+        case Refusal.DRIVE_TIMEOUT | Refusal.DRIVE_STATE | Refusal.OFF_UNSEEN:
+            return _DRIVE_TEXT[refusal] + _drive_state(value)
         case Refusal.BRAKE_SLIPPED:
             return f"brake test: the stroke moved by {value:.2f} mm on the closed brake: secure the load"
         case _:
             return _PLAIN_TEXT.get(refusal, "unknown command").format(value)
+
+
+_DRIVE_TEXT = {
+    Refusal.DRIVE_TIMEOUT: "drive did not become enabled",
+    Refusal.OFF_UNSEEN: f"not confirmed: the drive has not reported that it is off within {OFF_LIMIT_NS * 1e-9:g} s",
+    Refusal.DRIVE_STATE: "the drive has not left its fault state, whose cause is still there",
+}
+
+
+def _drive_state(value: float) -> str:
+    """The drive's state in words, for the end of a sentence; "" where none is known."""
+    known = {float(state): state for state in DriveState}
+    return f": it is in {known[value].name.replace('_', ' ')}" if value in known else ""
 
 
 _RANGES: dict[Verb, str] = {
@@ -251,7 +268,6 @@ _PLAIN_TEXT = {
     "lower, or rigctl disarm to try the brake, then reset",
     Refusal.DISAGREE: "encoder and tension disagree by {:.2f} mm on how the load moves, so the motor could hold it by "
     "neither: secure the load, or rigctl lower",
-    Refusal.DRIVE_TIMEOUT: "drive did not become enabled",
     Refusal.STOPPING: "daemon is stopping",
     Refusal.EXPIRED: "command came too late and was not carried out",
     Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",

@@ -39,13 +39,15 @@ from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import OFF_STATES, drive_state
+from rigctl.devices.objects import OFF_STATES, NmtState, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
+START_AGAIN_NS = 300_000_000  # a node has heard heartbeats of ours by then
+NEVER_NS = 1 << 62
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 BRAKE_TIMES = 2  # of the brake's time, after which a drive that reports to be off is commanded to have no voltage
 COMMANDS_PER_TICK = 4
@@ -131,7 +133,7 @@ class Loop:
             self.learning, self._holds, supervised=supervised,
         )  # fmt: skip
         self._cut_off_ns = BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
-        self._work_ns = self._stop_until = self._off_until = 0
+        self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
         self._orders.host_checks = host_checks
@@ -198,11 +200,16 @@ class Loop:
             self._stop_until = t_ns + STOP_LIMIT_NS
             machine.stop()
         orders.prepare(t_ns)
-        if machine.taking:
-            machine.follow_drive(snapshot.drive_enabled, t_ns)
+        if machine.taking or machine.resetting:
+            fault = machine.fault
+            machine.follow_drive(snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted)
+            if machine.fault is Fault.NONE is not fault:
+                orders.acknowledged(fault, t_ns)
             if machine.drive_wanted:
                 self._stroke_hold.follow()  # the motor took the load from the brake
                 self._held_tension.follow()
+        if machine.disarming:
+            machine.follow_off(t_ns, off=self.observer.braked)
         orders.attend(t_ns)
         self._park(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
@@ -306,15 +313,30 @@ class Loop:
         if power is Power.OFF and snapshot.off_ns >= self._cut_off_ns:
             power = Power.CUT  # a drive that says it is off and has not closed its brake loses its power
         state = drive_state(self.inbox.statusword)
-        word, preload_n = next_controlword(state, power, outbox.controlword), self._preload.look(snapshot)
+        word, preload_n = next_controlword(state, power), self._preload.look(snapshot)
         outbox.command(word, speed_mm_s, self._clock.now(), preload_n, enable=self._enable(power))
         request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
         if request is not None:
             outbox.request(*request)
+        if t_ns >= self._start_again_ns:
+            self._start_again(t_ns)
+
+    def _start_again(self, t_ns: int) -> None:
+        """Repeat NMT start once to the nodes that are not operational, now that they have our heartbeats.
+
+        Not to one that has booted since its configuration: it has lost it.
+        """
+        first, self._start_again_ns = self._start_again_ns == 0, NEVER_NS
+        if first:
+            self._start_again_ns = t_ns + START_AGAIN_NS
+            return
+        for node, state in self.inbox.states.items():
+            if state == NmtState.PRE_OPERATIONAL and not self.inbox.restarted:
+                self.outbox.start(node)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
-        arming = machine.pending is not None or self.readback.reading_all
+        arming = machine.pending is not None or machine.disarming or self.readback.reading_all
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
@@ -454,7 +476,7 @@ class Loop:
         try:
             word = self.outbox.controlword
             if self._failing > FAILING_TICKS:  # failing ticks do not watch the stroke
-                word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP, word)
+                word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP)
             if self.machine.silent or self._failing > SILENT_TICKS:
                 self.outbox.silence(t_ns)
             else:

@@ -21,7 +21,12 @@ SLIPS = frozenset({Fault.STROKE_MOVES, Fault.BRAKE_SLIPS, Fault.STROKE_NOT_HELD}
 """Faults of a brake that does not hold: the motor may carry or lower the load nevertheless."""
 _MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
-DRIVE_RESET_NS = 500_000_000
+OFF_LIMIT_NS = 3_000_000_000
+"""Time a drive has to stop, to close its brake and to go off after a DISARM."""
+DRIVE_RESET_NS = 1_000_000_000
+"""Time a drive has to leave its fault state after a RESET."""
+RESET_WORD_NS = 25_000_000
+"""How long each of the two words of a fault reset is sent: drives read their controlword each 1 to 16 ms."""
 SUPERVISED_NS = 2_000_000_000
 """Time for a drive left to itself to miss heartbeat or command (1 s at most), to stop and to close its brake."""
 
@@ -93,9 +98,9 @@ class Machine:
         self._answers: list[Answer] = []
         self._pending: PendingCommand | None = None
         self._pending_until = 0
-        self._reset_until = 0
         self._powered = False
         self._trial: tuple[int, Verb] | None = None
+        self._disarming: tuple[int, int] | None = None
 
     def outcome(self) -> Outcome:
         """Changes of mode and answers since the last call."""
@@ -112,6 +117,11 @@ class Machine:
         return None if self._trial is None else self._trial[1]
 
     @property
+    def disarming(self) -> bool:
+        """An accepted DISARM waits for the drive to be off, its brake closed."""
+        return self._disarming is not None
+
+    @property
     def arming(self) -> bool:
         """An accepted ARM waits for the drive."""
         return self._pending is not None and self._pending.verb is Verb.ARM
@@ -124,7 +134,12 @@ class Machine:
     @property
     def taking(self) -> bool:
         """The drive is commanded on, so that the motor takes the load from the brake."""
-        return self._pending is not None and not self.awaiting
+        return self._pending is not None and not (self.awaiting or self.resetting)
+
+    @property
+    def resetting(self) -> bool:
+        """An accepted RESET waits for the drive to leave its fault state; the fault stays latched until then."""
+        return self._pending is not None and self._pending.verb is Verb.RESET
 
     @property
     def watched_mode(self) -> Mode:
@@ -138,8 +153,9 @@ class Machine:
 
     def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
         """Power to command now. Only arming and taking the load back switch it on; one that dropped out stays off."""
-        if drive_faulted and t_ns < self._reset_until:
-            return Power.RESET
+        if self.resetting and drive_faulted:
+            edges = (self._pending_until - t_ns) // RESET_WORD_NS
+            return Power.RESET if edges % 2 == 0 else Power.RESET_LOW
         if self.taking:
             return Power.ON
         if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
@@ -193,6 +209,8 @@ class Machine:
     def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
         """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive)."""
         self.end_trial(Refusal.ABORTED)
+        if verb not in modes.WHILE_DISARMING:
+            self._end_disarming(Refusal.ABORTED)
         if self.stopping:
             return self._answer(id_, verb, Refusal.STOPPING)
         if verb is Verb.RESET and self.silent:
@@ -212,10 +230,17 @@ class Machine:
             self._pending = PendingCommand(id_, verb, event, carry_ns)
             self._pending_until = t_ns + ARM_LIMIT_NS
             return None
+        if verb is Verb.RESET and situation.drive_faulted:
+            self._pending = PendingCommand(id_, verb, decision.event)
+            self._pending_until = t_ns + DRIVE_RESET_NS
+            return None
         if verb in modes.TRIED_IN:
             self._trial = (id_, verb)
             return None
         self._accept(verb, decision.event, t_ns, carry_ns)
+        if verb is Verb.DISARM:
+            self._disarming = id_, t_ns + OFF_LIMIT_NS
+            return None
         return self._answer(id_, verb, Refusal.NONE)
 
     def _interrupt(self, id_: int, verb: Verb) -> Refusal | None:
@@ -235,10 +260,20 @@ class Machine:
         self._answers.append(Answer(id_, verb, refusal))
         return refusal
 
-    def follow_drive(self, drive_enabled: bool, t_ns: int) -> None:
-        """Carry out the command that waits for the drive once it is enabled, or give up."""
+    def follow_drive(self, drive_enabled: bool, t_ns: int, *, drive_faulted: bool = False) -> None:
+        """Carry out the command that waits for the drive once its state is there, or give up after its time."""
         pending = self._pending
         if pending is None or self.awaiting:
+            return
+        if self.resetting:
+            if not drive_faulted:
+                self._pending = None
+                self._accept(Verb.RESET, pending.event, t_ns, 0)
+                self._answer(pending.id, Verb.RESET, Refusal.NONE)
+            elif t_ns >= self._pending_until:
+                self._finish_pending(Refusal.DRIVE_STATE)
+                if self.mode is Mode.FAULT:
+                    self.fault = Fault.DRIVE_FAULT
             return
         if not drive_enabled:
             if t_ns >= self._pending_until:
@@ -252,6 +287,16 @@ class Machine:
             return
         self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
         self._answer(pending.id, pending.verb, Refusal.NONE)
+
+    def follow_off(self, t_ns: int, *, off: bool) -> None:
+        """Answer the DISARM once the drive is ``off``, its brake closed, or after its time."""
+        if self._disarming is not None and (off or t_ns >= self._disarming[1]):
+            self._end_disarming(Refusal.NONE if off else Refusal.OFF_UNSEEN)
+
+    def _end_disarming(self, refusal: Refusal) -> None:
+        if self._disarming is not None:
+            self._answers.append(Answer(self._disarming[0], Verb.DISARM, refusal))
+            self._disarming = None
 
     def switch_on(self, t_ns: int) -> None:
         """The sequence before it is complete: the drive may have its power."""
@@ -288,7 +333,6 @@ class Machine:
     def _accept(self, verb: Verb, event: Event | None, t_ns: int, carry_ns: int) -> None:
         match verb:
             case Verb.RESET:
-                self._reset_until = t_ns + DRIVE_RESET_NS
                 self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
             case Verb.DISARM:
                 self._powered = self.armed = False

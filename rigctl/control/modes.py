@@ -207,6 +207,8 @@ class Refusal(IntEnum):
     UNFELT = 23  # the cell does not show the motion of the stroke
     NO_LEARNING = 24  # the rig file has no section learning
     CARRIED = 100  # the motor carries a load that the brake does not hold; value: time left in s
+    DRIVE_STATE = 102  # the drive has not left its fault state; value: its state, see DriveState
+    OFF_UNSEEN = 103  # the drive was commanded off, and has not been seen to be; value: its state
     DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
 
@@ -396,6 +398,8 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
 }
 """Commands that change no mode, or not at once, with their guards."""
 
+WHILE_DISARMING = frozenset({Verb.TARGET, Verb.GAINS, Verb.DISARM})
+"""Commands that leave a DISARM under way as it is."""
 NEEDS_MOTOR = frozenset({Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER})
 """With the load on the brake, these first have the motor take it back."""
 

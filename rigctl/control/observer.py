@@ -224,6 +224,11 @@ class Observer:
         snapshot.zero_found_n = self.inbox.cell.zero_found_n
         self.look_at_settings()
 
+    @property
+    def braked(self) -> bool:
+        """The drive reports now that it is off, and has for its brake's time."""
+        return self.snapshot.drive_age_ns <= self._stale_ns and self.snapshot.off_ns >= self._brake_ns
+
     def look_at_load(self) -> None:
         """What carries the load, and whether a power off is confirmed, after this tick's decision."""
         snapshot, machine = self.snapshot, self._machine
@@ -231,7 +236,7 @@ class Observer:
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,
-            braked=snapshot.off_ns >= self._brake_ns,
+            braked=self.braked,
             taking=machine.taking,
             powered=snapshot.drive_enabled and machine.drive_wanted,
         )

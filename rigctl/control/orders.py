@@ -24,6 +24,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
+from rigctl.devices.objects import drive_state
 from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text, tare_limit_n
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
@@ -46,6 +47,8 @@ RECHECK_NS = 600_000_000_000
 """A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
 _AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END
 """Checks that bar no way out of a parked HOLD: what they guard against has not changed since the rig was armed."""
+_SHOWS_DRIVE = frozenset({Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN})
+"""Refusals whose reply has the state of the drive."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
@@ -184,6 +187,8 @@ class Orders:
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
         elif given.refusal is Refusal.BRAKE_SLIPPED:
             figures = {"moved_mm": self._sequence.moved_mm}
+        elif given.refusal in _SHOWS_DRIVE:
+            figures = {"drive_state": float(drive_state(self._observer.inbox.statusword))}
         elif given.refusal is Refusal.STOP_RUNNING:
             figures = {"speed_mm_s": self._observer.inbox.speed_mm_s}
         elif given.refusal is Refusal.CAUSE_PRESENT:
@@ -331,7 +336,7 @@ class Orders:
         situation = self._situation(verb, values)
         fault, was_pending = machine.fault, machine.pending
         done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
-        if machine.pending is verb and was_pending is not verb:
+        if machine.pending is verb and was_pending is not verb and not machine.resetting:
             if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
                 self.shown_checks = situation.failed_checks
             machine.awaiting = True
@@ -341,8 +346,7 @@ class Orders:
         if machine.trial is not None:
             self._begin_trial(machine.trial, t_ns)
         if fault is not machine.fault:
-            self._recheck = True
-            self._logbook.event(t_ns, Kind.RESET, fault)
+            self.acknowledged(fault, t_ns)
         if verb is Verb.TARGET and done:
             self._law.target_n = values["target_n"]
         elif verb is Verb.MOVE and done and self._learning is not None:
@@ -351,6 +355,11 @@ class Orders:
             self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
+
+    def acknowledged(self, fault: Fault, t_ns: int) -> None:
+        """A latched fault has been reset."""
+        self._recheck = True
+        self._logbook.event(t_ns, Kind.RESET, fault)
 
     def _begin_trial(self, verb: Verb, t_ns: int) -> None:
         """Begin a trial; one that moves the stroke has the motor hold for as long as it states."""

@@ -81,6 +81,10 @@ class Outbox:
         self.syncs += self._send(od.SYNC_COB, b"")
         self.synced_ns = now_ns
 
+    def start(self, node: int) -> None:
+        """NMT start; after `command`, as an SDO request."""
+        self._send(od.NMT_COB, bytes([od.NMT_START, node]))
+
     def request(self, node: int, request: bytes) -> None:
         """Send an SDO request; after `command`, because cyclic frames go first."""
         self._send(od.SDO_RX_BASE + node, request)

@@ -12,9 +12,10 @@ class Power(IntEnum):
 
     OFF = 0  # stopped, brake closed, no power
     ON = 1  # operation enabled
-    RESET = 2  # leave the drive's fault state, then off
+    RESET = 2  # the rising edge of the fault reset, after RESET_LOW
     QUICK_STOP = 3  # stop on the drive's own ramp, then off
     CUT = 4  # off at once, even in motion: the brake is the last resort
+    RESET_LOW = 5  # the word before that edge
 
 
 _TO_ON: dict[DriveState, Controlword] = {
@@ -36,14 +37,15 @@ _TO_OFF: dict[DriveState, Controlword] = {
 _STOPPABLE = frozenset({DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE})
 
 
-def next_controlword(state: DriveState, power: Power, last: int) -> Controlword:
-    """Command that takes the drive one step towards ``power``; ``last`` is the controlword sent before.
+def next_controlword(state: DriveState, power: Power) -> Controlword:
+    """Command that takes the drive one step towards ``power``.
 
-    A fault reset is a rising edge of bit 7, so it alternates with a plain command while the fault lasts.
+    A fault reset is a rising edge of bit 7. Each of its two words stays for longer than a drive takes to read its
+    controlword again, see `rigctl.control.machine.RESET_WORD_NS`.
     """
     if power is Power.RESET and state is DriveState.FAULT:
-        return Controlword.DISABLE_VOLTAGE if last == Controlword.FAULT_RESET else Controlword.FAULT_RESET
-    if power is Power.CUT:
+        return Controlword.FAULT_RESET
+    if power in (Power.CUT, Power.RESET_LOW):
         return Controlword.DISABLE_VOLTAGE
     if power is Power.QUICK_STOP and state in _STOPPABLE:
         return Controlword.QUICK_STOP

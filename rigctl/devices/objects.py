@@ -16,6 +16,7 @@ from rigctl.config.canopen import *
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
+ERROR_FIELD = 0x1003  # :00 number of errors, :01 the newest, its code in the lower half
 SYNC_COB_ID = 0x1005  # bit 30: the device sends SYNC itself
 CYCLE_PERIOD = 0x1006  # us between two SYNCs; 0 = not known
 DEVICE_HEARTBEAT_MS = 100  # our value of every device's 0x1017
@@ -41,6 +42,7 @@ class NmtState(IntEnum):
     PRE_OPERATIONAL = 0x7F
 
 
+NMT_START = 0x01  # command: the node enters OPERATIONAL
 NMT_STOP = 0x02  # command: the node enters STOPPED; a drive that is enabled then does as 0x6007 says
 
 # -- CiA 404: tension amplifier ---------------------------------------------------------------------------------

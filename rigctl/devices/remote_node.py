@@ -13,6 +13,7 @@ from typing import Any
 import canopen
 
 from rigctl.config.settings import RigSettings
+from rigctl.devices import emergency
 from rigctl.devices import objects as od
 from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
@@ -180,19 +181,27 @@ class RemoteNode:
             self.watch(wanted, index, sub, name)
         return found
 
-    def await_boot(self, until_ns: int, say: Callable[[str], None]) -> None:
-        """Wait until the device answers, at most until ``until_ns``.
+    @property
+    def reported(self) -> od.NmtState | None:
+        """NMT state in the device's newest heartbeat; None: none has come."""
+        return self._bus.reported.get(self.id)
+
+    def await_answer(
+        self, index: int, until_ns: int, say: Callable[[str], None], ends: Callable[[], bool] = lambda: False
+    ) -> bool:
+        """Read an object until the device answers, at most until ``until_ns`` or ``ends()``; whether it was waited for.
 
         Raises:
-            StartupError: it does not answer, or its answer is no SDO answer.
+            SilentError: it does not answer.
+            StartupError: its answer is no SDO answer.
         """
         waited = False
         while True:
             try:
-                self.read(od.DEVICE_TYPE)
+                self.read(index)
             except SilentError:
                 left_s = (until_ns - self._bus.now_ns()) * 1e-9
-                if left_s <= 0:
+                if left_s <= 0 or ends():
                     raise
                 if not waited:
                     say(f"waiting for {self.name} (node {self.id}), for {left_s:.0f} s more at most (can.boot_wait_s)")
@@ -200,9 +209,33 @@ class RemoteNode:
                 again_ns = self._bus.until_ns(min(left_s, _ASK_AGAIN_S))  # a wrong answer may come at once
                 self._bus.hear(lambda: False, again_ns)
             else:
-                break
-        if waited:
+                return waited
+
+    def await_boot(self, until_ns: int, say: Callable[[str], None]) -> None:
+        """Wait until the device answers, at most until ``until_ns``; see `await_answer`."""
+        if self.await_answer(od.DEVICE_TYPE, until_ns, say):
             self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted missed the first command
+
+    def error(self) -> str:
+        """The error that the device reports now, in words; "": none."""
+        register = self.read(od.ERROR_REGISTER)
+        if not register:
+            return ""
+        code = self.read(od.ERROR_CODE) if self.has(od.ERROR_CODE) else 0
+        if not code and self.has(od.ERROR_FIELD, 1) and self.read(od.ERROR_FIELD):
+            code = self.read(od.ERROR_FIELD, 1) & 0xFFFF
+        known = f", error 0x{code:04X}, {emergency.code_words(code)}" if code else ""
+        return f"{self.name} (node {self.id}) reports {emergency.register_words(register)}{known}"
+
+    def reset_communication(self, until_ns: int, say: Callable[[str], None]) -> None:
+        """NMT reset communication, which ends errors that outlive their cause; the device boots anew.
+
+        Raises:
+            StartupError: it does not answer afterwards.
+        """
+        self.remote.nmt.state = "RESET COMMUNICATION"
+        self.await_answer(od.DEVICE_TYPE, until_ns, say)
+        self.remote.nmt.state = "PRE-OPERATIONAL"
 
     def identity(self, profile: int) -> Device:
         """Identity of the device, which must be of this CiA profile."""

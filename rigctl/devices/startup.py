@@ -7,7 +7,7 @@ one line that names device, object, found and expected.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
+from rigctl.devices.drive_at_start import DriveAtStart
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
     CELL_TEMPERATURE,
@@ -37,6 +38,7 @@ from rigctl.devices.startup_bus import StartupBus
 __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
 _LISTENED_HEARTBEATS = 2.5
+_STARTED_HEARTBEATS = 2.5
 _INHIBIT_UNITS_PER_MS = 10
 _SAME_SCALE = 1e-6  # relative: two values of the same scale differ by rounding at most
 _METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
@@ -129,20 +131,28 @@ def bring_up(
         StartupError: one line.
     """
     line = StartupBus(bus, now_ns)
+    nodes = {device: RemoteNode(line, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     refuse_rival(line, settings)
     try:
-        return _configure(line, settings, say)
+        return _configure(line, nodes, settings, say)
     except can.CanError as error:
         raise StartupError(f"{settings.can.interface}:{settings.can.channel}: {error}") from None
 
 
-def _configure(bus: StartupBus, settings: RigSettings, say: Callable[[str], None]) -> StartupReport:
-    nodes = {device: RemoteNode(bus, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
+def _configure(
+    bus: StartupBus, nodes: Mapping[str, RemoteNode], settings: RigSettings, say: Callable[[str], None]
+) -> StartupReport:
+    drive, until_ns = nodes["cylinder"], bus.until_ns(settings.can.boot_wait_s)
+    at_start = DriveAtStart(bus, drive, settings.cylinder.brake_delay_ms * 1e-3, say)
+    at_start.take_off_power(at_start.known_state(until_ns))
+    at_start.clear_targets()
     for node in nodes.values():
         node.remote.nmt.state = "PRE-OPERATIONAL"
-    until_ns = bus.until_ns(settings.can.boot_wait_s)
     for node in nodes.values():
         node.await_boot(until_ns, say)
+        if error := node.error():
+            say(f"{error}: reset communication")
+            node.reset_communication(until_ns, say)
     pdos = wanted(settings).frames
     frames = {}
     devices = [node.identity(_device_type(settings, device)) for device, node in nodes.items()]
@@ -158,7 +168,6 @@ def _configure(bus: StartupBus, settings: RigSettings, say: Callable[[str], None
         slope.expect(od.SLOPE_RESOLUTION_MDEG, od.SLOPE_RESOLUTION)
         frames["inclinometer"] = slope.map_pdo(pdos["inclinometer"], settings.inclinometer_divisor)
     frames |= _map_fitted(nodes, settings, pdos)
-    drive = nodes["cylinder"]
     units = _units(drive, settings)
     if drive.has(od.POLARITY):  # a drive mounted the other way round needs one; the sign check proves it right
         drive.watch(drive.read(od.POLARITY), od.POLARITY)
@@ -170,18 +179,34 @@ def _configure(bus: StartupBus, settings: RigSettings, say: Callable[[str], None
     frames[COMMAND] = drive.map_pdo(pdos[COMMAND], 1)
     process_data = ProcessData(frames, units)
     _check_load(settings, process_data)
-    drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)
-    if drive.has(od.MODE_DISPLAY):
-        drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     supervision = _supervise(drive, settings, units)
     for device, node in nodes.items():
         if device != "io":  # it sends on events
             _listen_to_sync(node)
         node.write(DEVICE_HEARTBEAT_MS, od.PRODUCER_HEARTBEAT)
-    for node in nodes.values():
-        node.remote.nmt.state = "OPERATIONAL"
+    drive.write(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_OF_OPERATION)  # last: with it the drive may move
+    if drive.has(od.MODE_DISPLAY):
+        drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
+    _start(bus, nodes.values(), say)
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
     return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+
+
+def _start(bus: StartupBus, nodes: Iterable[RemoteNode], say: Callable[[str], None]) -> None:
+    """NMT start, verified by the heartbeats, and repeated once; the loop repeats it while its heartbeats are sent."""
+    nodes = list(nodes)
+
+    def waiting() -> list[RemoteNode]:
+        return [node for node in nodes if node.reported is not od.NmtState.OPERATIONAL]
+
+    bus.reported.clear()
+    for _ in range(2):
+        for node in waiting():
+            node.remote.nmt.state = "OPERATIONAL"
+        bus.hear(lambda: not waiting(), bus.until_ns(_STARTED_HEARTBEATS * DEVICE_HEARTBEAT_MS * 1e-3))
+    for node in waiting():
+        found = "no heartbeat" if node.reported is None else f"NMT state {node.reported.name.replace('_', ' ')}"
+        say(f"{node.name} (node {node.id}) has not started: {found} after two commands")
 
 
 def _listen_to_sync(node: RemoteNode) -> None:

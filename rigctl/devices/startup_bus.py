@@ -14,6 +14,8 @@ import can
 import canopen
 from canopen.sdo import SdoClient, SdoCommunicationError
 
+from rigctl.devices.objects import HEARTBEAT_BASE, NmtState
+
 
 class StartupBus:
     """A bus, the time on it, and canopen's network of the devices under configuration."""
@@ -22,6 +24,8 @@ class StartupBus:
         """``now_ns``: the clock on which a ``recv`` of ``bus`` takes its time-out."""
         self.bus, self.now_ns = bus, now_ns
         self.network = canopen.Network(bus)
+        self.reported: dict[int, NmtState] = {}
+        """NMT state in the newest heartbeat of each device."""
 
     def until_ns(self, seconds: float) -> int:
         """The time ``seconds`` from now."""
@@ -55,7 +59,12 @@ class StartupBus:
         """
         remote: canopen.RemoteNode = self.network.add_node(_RemoteNode(node, str(eds), self))
         remote.sdo.RESPONSE_TIMEOUT = answer_s
+        self.network.subscribe(HEARTBEAT_BASE + node, self._on_heartbeat)
         return remote
+
+    def _on_heartbeat(self, can_id: int, data: bytearray, _timestamp: float) -> None:
+        if data and data[0] & 0x7F in NmtState._value2member_map_:
+            self.reported[can_id - HEARTBEAT_BASE] = NmtState(data[0] & 0x7F)
 
 
 class _SdoClient(SdoClient):  # type: ignore[misc]  # canopen has no types

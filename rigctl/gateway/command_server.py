@@ -52,7 +52,7 @@ WAIT_NS = {
     Verb.RESPONSE: ANSWER_NS + round(LONGEST_S * 1e9),
 }
 WAIT_NS |= {verb: WAIT_NS.get(verb, ANSWER_NS) + TAKE_NS for verb in NEEDS_MOTOR}
-WAITING = frozenset({Verb.ARM}) | NEEDS_MOTOR
+WAITING = frozenset({Verb.ARM, Verb.RESET, Verb.DISARM}) | NEEDS_MOTOR
 """Commands that may wait for the drive, and for the read-back before it."""
 READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
 _PENDING_MAX = 64  # commands without an answer, HOLD not counted

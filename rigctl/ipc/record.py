@@ -179,6 +179,12 @@ REPLY = Slot(
         Field("cause", "d", "", "CAUSE_PRESENT: number of the fault whose cause is there"),
         Field("moved_mm", "d", "mm", "BRAKE_SLIPPED: motion on the closed brake"),
         Field("speed_mm_s", "d", "mm/s", "STOP_RUNNING: speed of the stroke"),
+        Field(
+            "drive_state",
+            "d",
+            "",
+            "DRIVE_STATE, DRIVE_TIMEOUT, OFF_UNSEEN: the drive's state, see rigctl.devices.objects",
+        ),
         Field("apart_mm", "d", "mm", "DISAGREE: motion by the encoder less that by the tension"),
         Field("carried_s", "d", "s", "CARRY, LOWER, CARRIED: how long the motor still carries"),
         Field("reading_n", "d", "N", "TARE, CALIBRATE: mean reading of the cell; LOADED: its reading now"),

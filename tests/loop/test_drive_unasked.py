@@ -96,11 +96,13 @@ def test_an_arm_that_is_called_off_leaves_no_stranger(rig: Lockstep, ticks: int)
 def test_a_drive_that_stays_enabled_when_told_to_go_off_trips(rig: Lockstep) -> None:
     enabled = int(objects.DriveState.OPERATION_ENABLED) | objects.STATUS_REMOTE | objects.STATUS_FOLLOWS
     rig.rig.drive.distort(objects.STATUSWORD, 0, lambda _: enabled)
-    assert rig.command(Verb.DISARM) is Refusal.NONE
+    id_ = rig.give(Verb.DISARM)
     rig.run(0.9)
     assert rig.loop.machine.fault is Fault.NONE
     rig.run(0.3)
     assert rig.loop.machine.fault is Fault.DRIVE_UNASKED
+    assert rig.answer(id_) is Refusal.OFF_UNSEEN, "the answer states the effect that was seen, or that it was not"
+    assert objects.drive_state(int(rig.reply["drive_state"])) is objects.DriveState.OPERATION_ENABLED
 
 
 # -- statusword --------------------------------------------------------------------------------------------------

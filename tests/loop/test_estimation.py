@@ -13,9 +13,16 @@ from hil.lockstep import Lockstep
 from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import out_and_back
+from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
+
+
+@pytest.fixture
+def rig_settings(settings: RigSettings) -> RigSettings:
+    """Without the file's limits: its limit of the disturbance is as long as the jolt, so that the noise decides."""
+    return settings.model_copy(update={"limits": []})
 
 
 def with_error(rig: Lockstep, error: Callable[[int], float]) -> None:

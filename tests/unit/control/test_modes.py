@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import FrozenInstanceError, replace
 
@@ -10,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, Answer
+from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Answer
 from rigctl.control.modes import (
     FILED,
     TRANSITIONS,
@@ -442,6 +443,68 @@ def test_a_carry_whose_drive_does_not_come_on_has_the_brake_closed() -> None:
     assert machine.power(22 + ARM_LIMIT_NS + CUT_AFTER_NS, drive_enabled=True, drive_faulted=False) is Power.CUT
 
 
+FAULTED = Situation(armed=True, drive_faulted=True)
+
+
+def reset_of_a_drive_at_fault() -> MachineLog:
+    machine = MachineLog()
+    machine.trip(Trip(Fault.CELL_STALE, 1.0, 0.5), 0)
+    assert machine.command(1, Verb.RESET, FAULTED, 100) is None
+    return machine
+
+
+def test_a_reset_of_a_drive_at_fault_is_answered_when_the_drive_has_left_it() -> None:
+    machine = reset_of_a_drive_at_fault()
+    for t_ns in range(100, DRIVE_RESET_NS, DRIVE_RESET_NS // 100):
+        machine.follow_drive(False, t_ns, drive_faulted=True)
+        assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
+    assert not machine.taking, "the motor is not commanded on"
+    assert machine.answers == []
+    machine.follow_drive(False, DRIVE_RESET_NS, drive_faulted=False)
+    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
+    assert machine.answers == [Answer(1, Verb.RESET, Refusal.NONE)]
+
+
+def test_a_reset_that_the_drive_does_not_follow_leaves_fault_with_the_drive_as_its_cause() -> None:
+    machine = reset_of_a_drive_at_fault()
+    machine.follow_drive(False, 100 + DRIVE_RESET_NS, drive_faulted=True)
+    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.DRIVE_FAULT)
+    assert machine.answers == [Answer(1, Verb.RESET, Refusal.DRIVE_STATE)]
+    power = machine.power(200 + DRIVE_RESET_NS, drive_enabled=False, drive_faulted=True)
+    assert power not in (Power.RESET, Power.RESET_LOW)
+
+
+@pytest.mark.parametrize(("off", "refusal"), [(True, Refusal.NONE), (False, Refusal.OFF_UNSEEN)])
+def test_a_disarm_is_answered_when_the_drive_is_off_or_has_not_been_in_its_time(off: bool, refusal: Refusal) -> None:
+    machine = armed()
+    assert machine.command(2, Verb.DISARM, READY, 100) is None
+    assert machine.mode is Mode.DISARMED, "the command is sent at once"
+    for t_ns in (101, 99 + OFF_LIMIT_NS):
+        machine.follow_off(t_ns, off=False)
+        assert machine.answers == []
+    machine.follow_off(100 + OFF_LIMIT_NS, off=off)
+    assert machine.answers == [Answer(2, Verb.DISARM, refusal)]
+    assert not machine.disarming
+
+
+@pytest.mark.parametrize("verb", [Verb.HOLD, Verb.DISARM])
+def test_hold_and_disarm_abort_a_reset(verb: Verb) -> None:
+    machine = reset_of_a_drive_at_fault()
+    machine.command(2, verb, FAULTED, 200)
+    machine.follow_off(201, off=True)
+    assert machine.answers == [Answer(1, Verb.RESET, Refusal.ABORTED), Answer(2, verb, Refusal.NONE)]
+    machine.follow_drive(False, 300, drive_faulted=False)
+    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
+
+
+def test_both_words_of_a_reset_stay_for_longer_than_a_drive_takes_to_read_them_again() -> None:
+    machine, step_ns = reset_of_a_drive_at_fault(), 1_000_000
+    powers = [machine.power(t, drive_enabled=False, drive_faulted=True) for t in range(100, DRIVE_RESET_NS, step_ns)]
+    assert set(powers) == {Power.RESET, Power.RESET_LOW}
+    runs = [len(list(run)) for _, run in itertools.groupby(powers)]
+    assert all(20 <= length <= 30 for length in runs[1:-1])
+
+
 def test_an_arming_drive_is_watched_as_in_hold() -> None:
     machine = MachineLog()
     assert machine.watched_mode is Mode.DISARMED
@@ -495,5 +558,6 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         assert not latched or machine.mode is Mode.FAULT or machine.action is Action.RAMP_DOWN
         assert machine.mode is not Mode.DISARMED or not machine.drive_wanted
     machine.follow_drive(False, ARM_LIMIT_NS * 2)
+    machine.follow_off(OFF_LIMIT_NS * 2, off=False)
     machine.end_trial(Refusal.NONE)
     assert sorted(answer.id for answer in machine.answers) == list(range(1, asked + 1))

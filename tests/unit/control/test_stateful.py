@@ -92,7 +92,7 @@ class Rig(RuleBasedStateMachine):
     def follow(self, enabled: bool) -> None:
         """The drive obeys, or drops out."""
         self.enabled = enabled and self.power() is Power.ON
-        self.machine.follow_drive(self.enabled, self.t_ns)
+        self.machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted)
 
     @rule(faulted=st.booleans())
     def drive_faults(self, faulted: bool) -> None:
@@ -210,7 +210,7 @@ class Rig(RuleBasedStateMachine):
         if found is not None:
             assert found.action is not Action.LOG
             self.trip(found)
-        self.machine.follow_drive(self.enabled, self.t_ns)
+        self.machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted)
 
     def assert_persistence(self, mode: Mode, found: Trip | None) -> None:
         """The test's own clock of the rig file's rows: none acts before its time, the strongest not after it."""
@@ -254,11 +254,11 @@ class Rig(RuleBasedStateMachine):
             assert self.on_allowed
             assert machine.taking or self.enabled, "a drive that dropped out stays out"
         if machine.mode is Mode.FAULT and machine.action >= Action.QUICK_STOP:
-            assert power in (Power.QUICK_STOP, Power.CUT, Power.RESET)
+            assert power in (Power.QUICK_STOP, Power.CUT, Power.RESET, Power.RESET_LOW)
         if power is Power.CUT:
             assert machine.action is Action.POWER_OFF
-        if power is Power.RESET:
-            assert self.faulted
+        if power in (Power.RESET, Power.RESET_LOW):
+            assert self.faulted and machine.resetting
 
     @invariant()
     def every_change_of_mode_is_told(self) -> None:
@@ -272,6 +272,7 @@ class Rig(RuleBasedStateMachine):
         """Every command has exactly one reply."""
         self.machine.end_trial(Refusal.ABORTED)
         self.machine.follow_drive(False, self.t_ns + 2 * ARM_LIMIT_NS)
+        self.machine.follow_off(self.t_ns, off=True)
         assert sorted(answer.id for answer in self.machine.answers) == list(range(1, self.asked + 1))
 
 

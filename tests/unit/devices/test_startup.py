@@ -190,20 +190,20 @@ def test_devices_that_boot_are_waited_for_and_named() -> None:
     devices = Devices(with_set("slow_boot"))
     report = devices.bring_up()
     assert report.supervised
-    assert [line.split(",")[0] for line in devices.said] == ["waiting for tension cell (node 2)"]
+    assert [line.split(",")[0] for line in devices.said] == ["waiting for cylinder drive (node 4)"]
     assert devices.t_ns - START_NS >= 5_000_000_000
     assert all(node.nmt_state is od.NmtState.OPERATIONAL for node in devices.rig.nodes if node.id < 100)
 
 
 def test_a_device_that_does_not_boot_is_given_up_by_name() -> None:
-    settings = changed(with_set("slow_boot"), can={"boot_wait_s": 0.2}, tension_cell={"sdo_timeout_ms": 50})
+    settings = changed(with_set("slow_boot"), can={"boot_wait_s": 0.2}, cylinder={"sdo_timeout_ms": 50})
     settings = changed(settings, simulation={"devices": {"boot_s": 60.0}})
     devices = Devices(settings)
     with pytest.raises(StartupError) as raised:
         devices.bring_up()
     said = str(raised.value)
-    assert said.startswith("tension cell (node 2) does not answer")
-    assert "within 50 ms (tension_cell.sdo_timeout_ms)" in said
+    assert said.startswith("cylinder drive (node 4) does not answer")
+    assert "within 50 ms (cylinder.sdo_timeout_ms)" in said
     assert devices.t_ns - START_NS > 200_000_000
 
 
