@@ -24,7 +24,7 @@ REAL_TIME = ("tests/guest", "tests/live", "tests/loop/test_pytest_plugin.py")
 TOGETHER = ("--numprocesses", "auto", "--dist", "loadfile", "--no-loadscope-reorder")
 RUNS: dict[str, tuple[str, ...]] = {
     "studies": (
-        "tests/studies", "tests/loop", "tests/live",
+        "tests/studies", "tests/loop", "tests/live", "tests/unit", "tests/plant",
         "-m", "study and not real_time and not smoke and not long", *TOGETHER,
     ),
     "real time": (

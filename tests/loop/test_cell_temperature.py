@@ -57,6 +57,7 @@ def test_start_up_asks_the_amplifier_for_its_second_channel(settings: RigSetting
         assert math.isnan(rig.run(0.5)["cell_temperature_c"][-1])
 
 
+@pytest.mark.study
 def test_the_zero_follows_the_cells_temperature(settings: RigSettings, gains: Gains) -> None:
     """By 1 K a second; the low-pass of the temperature trails by its 10 s, so the cell stops warming at first."""
     with lockstep(fitted(settings, "cell"), gains) as rig:

@@ -21,6 +21,7 @@ def shown(kind: str) -> list[str]:
     return [block for block in blocks if "hil_" in block]
 
 
+@pytest.mark.study
 def test_what_the_page_shows_passes(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(**{f"test_shown_{number}": text for number, text in enumerate(shown("test"))})
     assert pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").ret == 0

@@ -97,6 +97,7 @@ def test_a_cell_frozen_on_the_set_point_is_found_in_the_time_computed(spring_n_m
         assert found.worst_n < UNSEEN * 300.0
 
 
+@pytest.mark.study
 @pytest.mark.parametrize(
     ("faults", "named"),
     [

@@ -1,11 +1,19 @@
 """Equation (15) derived by SymPy from L = T - U, in coordinates of its own: what the compiled plant is judged by.
 
 Nothing of the plant's is used but its parameters' names. Units are the plant's: mm, N, t, s.
+
+A derivation takes half a minute, so its result is kept in ``derived/``, under the hash of this file; `make test-live`
+derives it anew. ``python -m tests.plant.lagrangian`` writes the files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import gzip
+import hashlib
+import inspect
+import math
+import pathlib
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,34 +67,43 @@ class Motion(NamedTuple):
     payload: Floats
 
 
-class Lagrangian:
-    """A system given by its energies; ``u`` is the payload's displacement from where the mechanism prescribes it."""
+def derive(
+    q: Sequence[Any], rates: Sequence[Any], kinetic: Any, potential: Any, dissipation: Any, u: Sequence[Any]
+) -> str:
+    """Source of the function that evaluates mass, force, across and bias, see `Lagrangian`.
 
-    def __init__(
-        self, q: Sequence[Any], rates: Sequence[Any], kinetic: Any, potential: Any, dissipation: Any, u: Sequence[Any]
-    ) -> None:
-        fixed, moving, accelerating = ([sp.Symbol(name + suffix) for name in PRESCRIBED] for suffix in ("", "_v", "_a"))
-        q_, rates_ = sp.Matrix(q), sp.Matrix(rates)
-        u_ = sp.Matrix(u)
-        momentum = sp.Matrix([kinetic]).jacobian(rates_).T
+    ``u`` is the payload's displacement from where the mechanism prescribes it.
+    """
+    fixed, moving, accelerating = ([sp.Symbol(name + suffix) for name in PRESCRIBED] for suffix in ("", "_v", "_a"))
+    q_, rates_ = sp.Matrix(q), sp.Matrix(rates)
+    u_ = sp.Matrix(u)
+    momentum = sp.Matrix([kinetic]).jacobian(rates_).T
 
-        def derivative(vector: Any) -> Any:
-            """Total time derivative, less what is due to the coordinates' accelerations."""
-            return (
-                vector.jacobian(q_) * rates_
-                + vector.jacobian(fixed) * sp.Matrix(moving)
-                + vector.jacobian(moving) * sp.Matrix(accelerating)
-            )
-
-        mass = momentum.jacobian(rates_)
-        force = sp.Matrix([kinetic - potential]).jacobian(q_).T - sp.Matrix([dissipation]).jacobian(rates_).T
-        force -= derivative(momentum)
-        across = u_.jacobian(q_)
-        bias = derivative(derivative(u_))
-        arguments = [*q, *rates, *fixed, *moving, *accelerating, *map(sp.Symbol, NAMES)]
-        self._evaluate = sp.lambdify(
-            arguments, [part.tolist() for part in (mass, force, across, bias)], modules="math", cse=True
+    def derivative(vector: Any) -> Any:
+        """Total time derivative, less what is due to the coordinates' accelerations."""
+        return (
+            vector.jacobian(q_) * rates_
+            + vector.jacobian(fixed) * sp.Matrix(moving)
+            + vector.jacobian(moving) * sp.Matrix(accelerating)
         )
+
+    mass = momentum.jacobian(rates_)
+    force = sp.Matrix([kinetic - potential]).jacobian(q_).T - sp.Matrix([dissipation]).jacobian(rates_).T
+    force -= derivative(momentum)
+    across = u_.jacobian(q_)
+    bias = derivative(derivative(u_))
+    arguments = [*q, *rates, *fixed, *moving, *accelerating, *map(sp.Symbol, NAMES)]
+    evaluate = sp.lambdify(arguments, [part.tolist() for part in (mass, force, across, bias)], modules="math", cse=True)
+    return inspect.getsource(evaluate)
+
+
+class Lagrangian:
+    """A system given by its energies, as `derive` has written it."""
+
+    def __init__(self, source: str) -> None:
+        names: dict[str, Any] = dict(vars(math))
+        exec(source, names)
+        self._evaluate: Callable[..., Any] = names["_lambdifygenerated"]
 
     def accelerations(
         self, q: Floats, rates: Floats, prescribed: Floats, constants: dict[str, float], free: Sequence[bool]
@@ -159,7 +176,7 @@ def _assemble(
     length: Any,
     rope_kinetic: Any,
     node_dissipation: Any,
-) -> Lagrangian:
+) -> str:
     phi, r, _ = _rail(q[0], q[1])
     u = sp.Matrix(_payload(lower))
     u_rate = _rate(u, q, rates)
@@ -188,10 +205,10 @@ def _assemble(
         + sum(_S[c] * u_rate[i] ** 2 / 2 for i, c in enumerate(("ct", "cn", "cz")))
         + node_dissipation
     )
-    return Lagrangian(q, rates, kinetic, potential, dissipation, list(u))
+    return derive(q, rates, kinetic, potential, dissipation, list(u))
 
 
-def straight() -> Lagrangian:
+def straight() -> str:
     """The paper's q = [x y l theta_x theta_y], the rope straight: its kinetic energy m/6 (v_u^2 + v_u v_l + v_l^2)."""
     q = x, y, length, theta_x, theta_y = sp.symbols("x y l theta_x theta_y")
     rates = sp.symbols("x_v y_v l_v theta_x_v theta_y_v")
@@ -207,7 +224,7 @@ def straight() -> Lagrangian:
     return _assemble(q, rates, upper, lower, length, rope_kinetic, sp.Integer(0))
 
 
-def flexible(elements: int) -> Lagrangian:
+def flexible(elements: int) -> str:
     """q = [x y, x_1 y_1 .. of the inner nodes, x_l y_l z_l]; nodes carry the mass of half an element on either side.
 
     Their heights divide the distance of pulley and payload evenly.
@@ -229,3 +246,32 @@ def flexible(elements: int) -> Lagrangian:
 
     across = sum(_square(speed[:2, :]) for speed in speeds[1:-1])
     return _assemble(q, rates, upper, lower, length, rope_kinetic, _S["node_damping"] * across / 2)
+
+
+ELEMENTS = 4
+DERIVED = pathlib.Path(__file__).with_name("derived")
+DERIVATIONS: dict[str, Callable[[], str]] = {"straight": straight, "flexible": lambda: flexible(ELEMENTS)}
+
+
+def digest() -> str:
+    """What a kept derivation depends on: this file, and SymPy's release."""
+    return hashlib.sha256(pathlib.Path(__file__).read_bytes() + sp.__version__.encode()).hexdigest()
+
+
+def kept(name: str) -> str | None:
+    """The kept derivation, None where this file or SymPy has changed since."""
+    file = DERIVED / f"{name}.gz"
+    text = gzip.decompress(file.read_bytes()).decode() if file.exists() else ""
+    found, _, source = text.partition("\n")
+    return source if found == digest() else None
+
+
+def lagrangian(name: str) -> Lagrangian:
+    """The system, from its kept derivation where there is one."""
+    return Lagrangian(kept(name) or DERIVATIONS[name]())
+
+
+if __name__ == "__main__":
+    DERIVED.mkdir(exist_ok=True)
+    for derived, make in DERIVATIONS.items():
+        (DERIVED / f"{derived}.gz").write_bytes(gzip.compress(f"{digest()}\n{make()}".encode(), mtime=0))

@@ -13,13 +13,12 @@ import pytest
 from hil.plant import kernel, layout
 from hil.plant.coordinates import Frame, to_paper, to_plant
 from hil.plant.inputs import Track, pack
-from tests.plant.lagrangian import NAMES, Floats, Lagrangian, flexible, straight
+from tests.plant.lagrangian import DERIVATIONS, ELEMENTS, NAMES, Floats, Lagrangian, kept, lagrangian
 
 STEP_S = 1e-4
 STATES = 60
 RELATIVE = 1e-9
 """Of the largest acceleration of a state: some are small differences of large forces. Rounding leaves about 1e-12."""
-ELEMENTS = 4
 ALL_FREE, RIGID = (True, True, True), (False, False, False)
 MIXED = [free for free in itertools.product((False, True), repeat=3) if free not in (ALL_FREE, RIGID)]
 COORDINATES = ("phi", "r", "ut", "un", "uz")
@@ -213,12 +212,23 @@ def error_flexible(lagrangian: Lagrangian, seed: int, free: tuple[bool, bool, bo
 
 @pytest.fixture(scope="session")
 def paper_lagrangian() -> Lagrangian:
-    return straight()
+    return lagrangian("straight")
 
 
 @pytest.fixture(scope="session")
 def chain_lagrangian() -> Lagrangian:
-    return flexible(ELEMENTS)
+    return lagrangian("flexible")
+
+
+@pytest.mark.parametrize("name", DERIVATIONS)
+def test_the_kept_derivations_are_of_this_source(name: str) -> None:
+    assert kept(name) is not None, "run python -m tests.plant.lagrangian"
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("name", DERIVATIONS)
+def test_a_derivation_comes_out_as_it_is_kept(name: str) -> None:
+    assert DERIVATIONS[name]() == kept(name)
 
 
 def test_with_a_compliant_mechanism_all_five_accelerations_are_those_of_equation_15(
@@ -238,7 +248,6 @@ def test_any_mix_of_rigid_and_compliant_axes_obeys_equation_15(
     assert max(error_straight(paper_lagrangian, seed, free) for seed in range(STATES)) < RELATIVE
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("free", [ALL_FREE, RIGID, (False, False, True)], ids=["free", "rigid", "vertical"])
 def test_a_flexible_rope_obeys_its_own_lagrangian(chain_lagrangian: Lagrangian, free: tuple[bool, bool, bool]) -> None:
     assert max(error_flexible(chain_lagrangian, seed, free) for seed in range(STATES)) < RELATIVE

@@ -173,6 +173,7 @@ def test_every_spring_that_was_identified_has_its_gains(tmp_path: pathlib.Path, 
         adopted(load(file), NOW)
 
 
+@pytest.mark.study
 def test_optimised_weights_are_carried_by_the_gain_file_and_keep_every_limit(
     tmp_path: pathlib.Path, in_process: Command
 ) -> None:
