@@ -201,9 +201,13 @@ class Loop:
             machine.stop()
         orders.prepare(t_ns)
         if machine.taking or machine.resetting:
-            fault = machine.fault
-            machine.follow_drive(snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted)
-            if machine.fault is Fault.NONE is not fault:
+            fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
+            if machine.follow_drive(
+                snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted, cause_present=cause
+            ):
+                self._tripped = trip = Trip(machine.fault, 1.0, 0.0, machine.action)
+                self._logbook.trip(t_ns, Kind.TRIP, trip)
+            elif machine.fault is Fault.NONE is not fault:
                 orders.acknowledged(fault, t_ns)
             if machine.drive_wanted:
                 self._stroke_hold.follow()  # the motor took the load from the brake

@@ -219,6 +219,8 @@ class Machine:
             return self._answer(id_, verb, Refusal.STOP_RUNNING if early else Refusal.NONE)
         if self.silent and verb in modes.NEEDS_MOTOR:
             return self._answer(id_, verb, Refusal.WRONG_MODE)
+        if self.disarming and verb is Verb.DISARM:
+            return self._answer(id_, verb, Refusal.ALREADY)
         if self._pending is not None and (answered := self._interrupt(id_, verb)) is not None:
             return answered
         decision = modes.decide(self.mode, verb, situation)
@@ -260,33 +262,43 @@ class Machine:
         self._answers.append(Answer(id_, verb, refusal))
         return refusal
 
-    def follow_drive(self, drive_enabled: bool, t_ns: int, *, drive_faulted: bool = False) -> None:
-        """Carry out the command that waits for the drive once its state is there, or give up after its time."""
+    def follow_drive(
+        self, drive_enabled: bool, t_ns: int, *, drive_faulted: bool = False, cause_present: bool = False
+    ) -> bool:
+        """Carry out the command that waits for the drive once its state is there, or give up after its time.
+
+        ``cause_present``: a cause that keeps a fault from being reset, which may begin while a RESET waits. Returns
+        True if a drive has not followed a RESET: then the latched fault is DRIVE_FAULT.
+        """
         pending = self._pending
         if pending is None or self.awaiting:
-            return
+            return False
         if self.resetting:
-            if not drive_faulted:
+            if cause_present:
+                self._finish_pending(Refusal.CAUSE_PRESENT)
+            elif not drive_faulted:
                 self._pending = None
                 self._accept(Verb.RESET, pending.event, t_ns, 0)
                 self._answer(pending.id, Verb.RESET, Refusal.NONE)
             elif t_ns >= self._pending_until:
                 self._finish_pending(Refusal.DRIVE_STATE)
-                if self.mode is Mode.FAULT:
-                    self.fault = Fault.DRIVE_FAULT
-            return
+                self.fault = Fault.DRIVE_FAULT
+                self._go(Event.TRIP)
+                return True
+            return False
         if not drive_enabled:
             if t_ns >= self._pending_until:
                 self._finish_pending(Refusal.DRIVE_TIMEOUT)
                 if self.mode is Mode.FAULT:  # whatever the drive does now, its brake has to close
                     self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
-            return
+            return False
         self._powered, self._pending = True, None
         if pending.verb in modes.TRIED_IN:
             self._trial = pending.id, pending.verb
-            return
+            return False
         self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
         self._answer(pending.id, pending.verb, Refusal.NONE)
+        return False
 
     def follow_off(self, t_ns: int, *, off: bool) -> None:
         """Answer the DISARM once the drive is ``off``, its brake closed, or after its time."""
@@ -324,6 +336,7 @@ class Machine:
             self.stopping = True
             self.end_trial(Refusal.ABORTED)
             self._finish_pending(Refusal.STOPPING)
+            self._end_disarming(Refusal.STOPPING)
             self._go(Event.STOP if self.fault is Fault.NONE else Event.TRIP)
 
     def power_off(self) -> None:

@@ -12,6 +12,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.machine import DRIVE_RESET_NS
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices.objects import DriveState
+from tests.builders.loop_frames import stop_node
 
 OVERCURRENT = 0x2310
 SLOWEST_MS = 16
@@ -92,3 +93,42 @@ def test_hold_and_disarm_abort_a_reset(rig: Lockstep, verb: Verb) -> None:
     rig.run(0.5)
     assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, fault)
     assert state(rig) is DriveState.FAULT, "no word of the reset is sent any more"
+
+
+@pytest.mark.starts_in(Mode.DISARMED)
+def test_a_drive_that_does_not_follow_a_reset_while_disarmed_is_a_fault(
+    rig: Lockstep, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.rig.drive.trip(OVERCURRENT)
+    rig.run(0.02)
+    monkeypatch.setattr(rig.rig.drive.control, "_clear_faults", lambda: False)
+    rig.events.read()
+    assert rig.command(Verb.RESET) is Refusal.DRIVE_STATE
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.DRIVE_FAULT)
+    assert [Fault(int(event["a"])) for event in rig.events.read() if event["kind"] == Kind.TRIP] == [Fault.DRIVE_FAULT]
+    monkeypatch.undo()
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    assert (rig.loop.machine.mode, state(rig)) == (Mode.DISARMED, DriveState.SWITCH_ON_DISABLED)
+
+
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_cause_that_begins_during_a_reset_refuses_it(rig: Lockstep) -> None:
+    rig.rig.drive.trip(OVERCURRENT)
+    rig.run(STOPPED_S)
+    reads_every(rig, 600, 500)  # it reads the reset after half a second
+    fault = rig.loop.machine.fault
+    reset = rig.give(Verb.RESET)
+    rig.run(0.1)
+    stop_node(rig, rig.settings.tension_cell.node)
+    assert rig.answer(reset) is Refusal.CAUSE_PRESENT
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, fault)
+
+
+@pytest.mark.starts_in(Mode.HOLD)
+def test_a_second_disarm_leaves_the_first_as_it_is(rig: Lockstep) -> None:
+    rig.rig.drive.trip(OVERCURRENT)
+    rig.run(0.01)
+    first, second = rig.give(Verb.DISARM), rig.give(Verb.DISARM)
+    assert rig.answer(second) is Refusal.ALREADY
+    assert rig.answer(first) is Refusal.NONE
+    assert state(rig) is DriveState.FAULT

@@ -487,6 +487,14 @@ def test_a_disarm_is_answered_when_the_drive_is_off_or_has_not_been_in_its_time(
     assert not machine.disarming
 
 
+def test_a_stop_answers_the_disarm_under_way() -> None:
+    machine = armed()
+    machine.command(2, Verb.DISARM, READY, 100)
+    machine.stop()
+    machine.follow_off(101, off=True)
+    assert machine.answers == [Answer(2, Verb.DISARM, Refusal.STOPPING)]
+
+
 @pytest.mark.parametrize("verb", [Verb.HOLD, Verb.DISARM])
 def test_hold_and_disarm_abort_a_reset(verb: Verb) -> None:
     machine = reset_of_a_drive_at_fault()

@@ -92,7 +92,16 @@ class Rig(RuleBasedStateMachine):
     def follow(self, enabled: bool) -> None:
         """The drive obeys, or drops out."""
         self.enabled = enabled and self.power() is Power.ON
-        self.machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted)
+        self.drive_is_followed()
+
+    @rule(off=st.booleans(), verb=st.sampled_from([Verb.DISARM, Verb.HOLD, Verb.RESET]))
+    @precondition(lambda self: self.machine.mode is Mode.FAULT)
+    def disarms_and_goes_on(self, off: bool, verb: Verb) -> None:
+        """A command follows a DISARM whose drive is not off yet."""
+        self.give(Verb.DISARM, 0.0)
+        self.machine.follow_off(self.t_ns, off=False)
+        self.give(verb, 0.0)
+        self.machine.follow_off(self.t_ns, off=off)
 
     @rule(faulted=st.booleans())
     def drive_faults(self, faulted: bool) -> None:
@@ -147,7 +156,7 @@ class Rig(RuleBasedStateMachine):
     @precondition(lambda self: self.asked > 15)
     def stop(self) -> None:
         self.machine.stop()
-        assert not self.machine.arming
+        assert not (self.machine.arming or self.machine.disarming)
         assert self.machine.trial is None
 
     # -- helpers ----------------------------------------------------------------------------------------------
@@ -210,7 +219,18 @@ class Rig(RuleBasedStateMachine):
         if found is not None:
             assert found.action is not Action.LOG
             self.trip(found)
-        self.machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted)
+        self.drive_is_followed()
+
+    def drive_is_followed(self) -> None:
+        machine, resetting = self.machine, self.machine.resetting
+        cause = self.watch.present(self.snapshot) is not Fault.NONE
+        if machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted, cause_present=cause):
+            assert resetting
+            assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.DRIVE_FAULT)
+            self.reset_given = True
+        if resetting and machine.mode is not Mode.FAULT:
+            assert not cause
+            self.reset_given = True
 
     def assert_persistence(self, mode: Mode, found: Trip | None) -> None:
         """The test's own clock of the rig file's rows: none acts before its time, the strongest not after it."""
@@ -273,6 +293,7 @@ class Rig(RuleBasedStateMachine):
         self.machine.end_trial(Refusal.ABORTED)
         self.machine.follow_drive(False, self.t_ns + 2 * ARM_LIMIT_NS)
         self.machine.follow_off(self.t_ns, off=True)
+        assert not (self.machine.disarming or self.machine.pending)
         assert sorted(answer.id for answer in self.machine.answers) == list(range(1, self.asked + 1))
 
 
