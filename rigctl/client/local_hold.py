@@ -18,7 +18,7 @@ ANSWER_S = 1.5  # the loop answers in the tick that takes it; longer is for a bu
 VIA = "local socket"
 FORMER = "hold.sock"
 FORMER_CONNECT_S = 0.5
-FORMER_ANSWER_S = 2.5  # that service answers within 1.5 s, even when the loop does not reply
+FORMER_LATER_S = 1.0  # that service answers within 1.5 s, even when the loop does not reply
 _FORMER_BYTES = 1 << 16
 _USUAL = {"localhost", "127.0.0.1", "::1"}  # names of one computer, which the same daemon is reached at
 
@@ -62,18 +62,18 @@ def _listen(folder: FolderPlaces) -> str:
     return str(json.loads(folder.sealed(FORMER_PUBLIC))["listen"])
 
 
-def hold(endpoint: str, rig: str | None, operator: str) -> dict[str, Any] | None:
+def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER_S) -> dict[str, Any] | None:
     """Give HOLD on a local socket; returns the answer, or None without one: then give it over the network.
 
-    A second HOLD does no harm if the first was carried out without an answer.
+    A second HOLD does no harm if the first was carried out without an answer. ``answer_s``: limit for the loop's.
     """
     if (folder := folder_of(endpoint, rig)) is None:
         return None
     for uid in (os.geteuid(), None):
         with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
-            given = hold_socket.give(folder.place(hold_socket.socket_name(uid)), operator, ANSWER_S)
+            given = hold_socket.give(folder.place(hold_socket.socket_name(uid)), operator, answer_s)
             return None if given is None else _worded(given, operator)
-    return _former(folder, operator)
+    return _former(folder, operator, answer_s + FORMER_LATER_S)
 
 
 def _worded(given: hold_socket.HoldAnswer, operator: str) -> dict[str, Any]:
@@ -88,7 +88,7 @@ def _worded(given: hold_socket.HoldAnswer, operator: str) -> dict[str, Any]:
     return hold_refused(given, operator) | about
 
 
-def _former(folder: FolderPlaces, operator: str) -> dict[str, Any] | None:
+def _former(folder: FolderPlaces, operator: str, answer_s: float) -> dict[str, Any] | None:
     """HOLD to a daemon of the version before, which may be armed while the package is upgraded: by its hold service."""
     place = folder.directory / "hold" / FORMER if folder.is_shared else folder.directory / FORMER
     try:
@@ -96,7 +96,7 @@ def _former(folder: FolderPlaces, operator: str) -> dict[str, Any] | None:
             connection.settimeout(FORMER_CONNECT_S)
             connection.connect(str(place))
             connection.send(json.dumps({"operator": operator}).encode())
-            connection.settimeout(FORMER_ANSWER_S)
+            connection.settimeout(answer_s)
             found = json.loads(connection.recv(_FORMER_BYTES))
     except (OSError, ValueError, RecursionError):
         return None

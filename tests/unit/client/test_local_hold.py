@@ -21,6 +21,7 @@ from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from tests.builders.waiting import patience_s, until
 
 ENDPOINT = "tcp/127.0.0.1:7447"
 
@@ -96,7 +97,7 @@ def former_service(runtime: Runtime) -> Iterator[list[str]]:
 
 def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
     with loop(runtime, HoldAnswer(88, True, 0, 0, 0, 52.3, 300.04, "HOLD")) as taken:
-        answer = local_hold.hold(ENDPOINT, None, "kim")
+        answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
     assert taken == ["kim"]
     assert answer == {
         "accepted": True, "verb": "hold", "operator": "kim", "mode": "HOLD", "t_ns": 88, "value": 300.04,
@@ -107,16 +108,16 @@ def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
 def test_the_loops_refusal_is_the_answer(runtime: Runtime) -> None:
     refused = HoldAnswer(88, False, Refusal.WRONG_MODE, 0, Fault.NONE, 0.0, float("nan"), "DISARMED")
     with loop(runtime, refused):
-        answer = local_hold.hold(ENDPOINT, None, "kim")
+        answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
     assert answer is not None
     assert (answer["accepted"], answer["reason"], answer["mode"]) == (False, "wrong_mode", "DISARMED")
     assert answer["text"] == "HOLD refused: hold is not possible in DISARMED: arm first"
 
 
-def test_a_loop_that_does_not_answer_leaves_the_network(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(local_hold, "ANSWER_S", 0.2)
+def test_a_loop_that_does_not_answer_leaves_the_network(runtime: Runtime) -> None:
     with loop(runtime, None) as taken:
-        assert local_hold.hold(ENDPOINT, None, "kim") is None
+        assert local_hold.hold(ENDPOINT, None, "kim", 0.2) is None
+        until(lambda: taken)
     assert taken == ["kim"]
 
 
@@ -133,7 +134,7 @@ def test_without_a_socket_the_answer_is_none() -> None:
 
 def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Runtime) -> None:
     with former_service(runtime) as asked:
-        answer = local_hold.hold(ENDPOINT, None, "kim")
+        answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
     assert asked == ["kim"]
     assert answer is not None
     assert (answer["accepted"], answer["mode"], answer["via"]) == (True, "HOLD", "local socket")
