@@ -73,6 +73,23 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.study)
         elif marked_real and item.path.name != "test_pytest_plugin.py":
             raise pytest.UsageError(f"{where}: a real-time test outside tests/live, where `make test-live` runs it")
+    _leave_rows_to_the_studies(items)
+
+
+def _leave_rows_to_the_studies(items: list[pytest.Item]) -> None:
+    """Of a test marked ``gate("row", ...)`` these rows judge each change, the others are studies."""
+    rows: dict[str, list[tuple[pytest.Item, bool]]] = {}
+    for item in items:
+        mark = item.get_closest_marker("gate")
+        if mark is not None and mark.args and isinstance(item, pytest.Function):
+            kept = item.callspec.id in mark.args
+            rows.setdefault(item.nodeid.partition("[")[0], []).append((item, kept))
+            if not kept:
+                item.add_marker(pytest.mark.study)
+    for test, found in rows.items():
+        names = {row for item, _ in found for row in item.get_closest_marker("gate").args}  # type: ignore[union-attr]
+        if len(found) > len(names) > sum(kept for _, kept in found):
+            raise pytest.UsageError(f"{test}: not every row that its mark `gate` names is there")
 
 
 @pytest.fixture

@@ -38,6 +38,7 @@ def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[StagePhase, int, bo
         yield rig.rig.drive.control.stage.phase, rig.loop.outbox.controlword, moving
 
 
+@pytest.mark.gate("1", "60", "180")
 @pytest.mark.parametrize("ticks", [1, 10, 30, 60, 120, 180])
 def test_reset_and_arm_during_a_quick_stop_cut_nothing_short(rig: Lockstep, enter: Enter, ticks: int) -> None:
     quick_stopped_at_speed(rig, enter)

@@ -32,7 +32,7 @@ def slip(rig: Lockstep, speed_mm_s: float = SLIP_MM_S) -> None:
     rig.rig.drive.defect = defect
 
 
-@pytest.fixture(scope="module", params=[Mode.DISARMED, Mode.HOLD])
+@pytest.fixture(scope="module", params=[Mode.DISARMED, pytest.param(Mode.HOLD, marks=pytest.mark.study)])
 def slipping_once(request: pytest.FixtureRequest, settings: RigSettings, gains: Gains) -> Iterator[Started]:
     with lockstep(settings, gains) as rig:
         stand.start(rig, request.param, None if request.param is Mode.HOLD else 300.0)
@@ -116,6 +116,7 @@ def test_the_motor_carries_the_load_for_as_long_as_stated(slipping: Lockstep) ->
     assert slipping.command(Verb.RESET) is Refusal.CARRIED, "the brake would have to hold"
 
 
+@pytest.mark.study
 def test_a_carry_that_is_over_lowers_the_load_and_never_parks_it_on_the_slipping_brake(slipping: Lockstep) -> None:
     assert slipping.command(Verb.CARRY, 2.0) is Refusal.NONE
     slipping.run(1.5)

@@ -96,6 +96,7 @@ def test_a_creep_is_recorded_adopted_and_gone(weighed: Lockstep) -> None:
     assert rig.loop.machine.fault is Fault.NONE
 
 
+@pytest.mark.study
 def test_a_held_rope_is_recorded_but_says_nothing_of_the_cell_alone(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings).model_copy(update={"loop": settings.loop}), gains) as rig:
         rig.run(0.2)

@@ -17,6 +17,7 @@ from tests.builders.loop_frames import assert_held, events, frame, nmt, stop_nod
 ACTIVE = [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]
 
 
+@pytest.mark.gate("tension_cell-3-1", "tension_cell-3-2", "inclinometer-5-3", "cylinder-7-4", "cylinder-7-2")
 @pytest.mark.parametrize("rig", ACTIVE, indirect=["rig"])
 @pytest.mark.parametrize(
     ("device", "fault"),

@@ -59,6 +59,7 @@ def test_the_output_is_set_to_drive_and_dropped_only_once_the_brake_has_closed(r
     assert rig.loop.machine.fault is Fault.NONE
 
 
+@pytest.mark.gate("2")
 @pytest.mark.parametrize("rig", MOVING, indirect=["rig"])
 def test_a_drive_that_reacts_to_nothing_is_stopped_by_the_output(rig: Lockstep) -> None:
     rig.rig.drive.hung = True
@@ -72,6 +73,7 @@ def test_a_drive_that_reacts_to_nothing_is_stopped_by_the_output(rig: Lockstep) 
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.5)
 
 
+@pytest.mark.study
 def test_without_the_output_such_a_drive_runs_on(settings: RigSettings, gains: Gains) -> None:
     """The control: what the test above shows is the output's doing."""
     with lockstep(settings, gains) as rig:
@@ -85,6 +87,7 @@ def test_without_the_output_such_a_drive_runs_on(settings: RigSettings, gains: G
         assert not braked(rig)
 
 
+@pytest.mark.gate("2")
 @pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
 def test_a_node_that_dies_takes_the_drives_torque_with_it(rig: Lockstep) -> None:
     assert rig.rig.io is not None
@@ -106,6 +109,7 @@ def test_the_node_drops_the_output_when_our_heartbeat_ends(rig: Lockstep) -> Non
     assert braked(rig)
 
 
+@pytest.mark.study
 @pytest.mark.starts_in(Mode.HOLD)
 def test_a_relay_that_does_not_open_is_found_and_bars_the_way_on(rig: Lockstep) -> None:
     assert rig.rig.io is not None

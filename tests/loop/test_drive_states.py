@@ -158,6 +158,7 @@ def test_a_drive_that_never_answers_gets_nmt_stop_and_is_named(settings: RigSett
     assert found.nmt() == [0x80, od.NMT_STOP]
 
 
+@pytest.mark.gate("cylinder-once", "tension_cell-three times", "inclinometer-twice")
 @pytest.mark.parametrize("refused", [1, 2, 3], ids=["once", "twice", "three times"])
 @pytest.mark.parametrize("name", ["tension_cell", "inclinometer", "cylinder"])
 def test_an_nmt_start_that_is_not_taken_is_repeated(

@@ -39,6 +39,7 @@ def carried(rig: Lockstep, seconds: float = 1.0) -> bool:
     return braked(rig) and rig.rig.truth.stroke_mm == before
 
 
+@pytest.mark.gate("1", "4")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(rig: Lockstep, mode: Mode) -> None:
@@ -208,6 +209,7 @@ def test_a_drive_that_has_started_anew_counts_as_unverified(rig: Lockstep) -> No
     assert Check.DRIVE_SUPERVISION in Check(int(rig.reply["checks"]))
 
 
+@pytest.mark.study
 def test_at_an_end_of_the_stroke_only_an_operator_who_says_so_arms(settings: RigSettings, gains: Gains) -> None:
     near = {"stroke_min_mm": -1.0}  # the rope is slack at 0
     with lockstep(settings.model_copy(update={"cylinder": settings.cylinder.model_copy(update=near)}), gains) as rig:

@@ -70,6 +70,7 @@ def test_a_tool_that_comes_in_the_very_tick_of_arm_is_seen_before_it(rig: Lockst
     assert Check(int(rig.reply["checks"])) & Check.DRIVE_REFUSES
 
 
+@pytest.mark.gate("2", "4")
 @pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
 def test_our_own_drive_is_no_stranger(rig: Lockstep) -> None:
     """Arming, disarming and cancelling an arm: the loop has enabled the drive, or switches it off."""

@@ -147,6 +147,15 @@ def loaded(request: pytest.FixtureRequest, loaded_once: Started) -> Lockstep:
 
 
 # -- in every mode -------------------------------------------------------------------------------------------------
+@pytest.mark.gate(
+    "sync lost-1",
+    "sync doubled-3",
+    "commands frozen-1",
+    "commands 100 ms late-3",
+    "commands 1 s late-3",
+    "samples frozen-1",
+    "samples lost-1",
+)
 @pytest.mark.parametrize(
     "mode", [pytest.param(mode, marks=pytest.mark.long) if mode in RAMPS else mode for mode in ARMED]
 )
@@ -168,6 +177,7 @@ def test_no_fault_of_the_command_path_moves_the_load(rig: Lockstep, mode: Mode, 
         assert kill_and_see_mm(rig) < 0.1
 
 
+@pytest.mark.gate("2", "4")
 @pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
 def test_without_sync_the_drive_is_stopped_from_its_last_speed(rig: Lockstep) -> None:
     """From the last SYNC on: the drive repeats its last speed, and neither samples nor commands are exchanged."""
@@ -181,6 +191,7 @@ def test_without_sync_the_drive_is_stopped_from_its_last_speed(rig: Lockstep) ->
     assert kill_and_see_mm(rig) == 0.0
 
 
+@pytest.mark.gate("1", "2")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_a_drive_that_ignores_its_commands_is_left_to_its_own_supervision(rig: Lockstep, mode: Mode) -> None:
@@ -256,6 +267,7 @@ def test_a_drive_that_misses_the_nmt_stop_too_stops_by_its_deadline(rig: Lockste
 
 
 # -- in every phase of arming --------------------------------------------------------------------------------------
+@pytest.mark.gate("opening-sync lost", "opening-commands frozen", "opening-samples frozen")
 @pytest.mark.parametrize(
     ("phase", "fault"),
     [
@@ -306,6 +318,7 @@ def test_a_drive_that_does_not_go_off_after_disarm_is_left_to_its_own_supervisio
 
 
 # -- supervision found off -----------------------------------------------------------------------------------------
+@pytest.mark.gate("4118-1-1", "24583-0-3")
 @pytest.mark.parametrize("rig", ARMED, indirect=["rig"])
 @pytest.mark.parametrize(("index", "sub"), [(od.CONSUMER_HEARTBEAT, 1), (od.ABORT_CONNECTION_OPTION, 0)])
 def test_a_drive_whose_supervision_is_found_off_is_parked(rig: Lockstep, index: int, sub: int) -> None:

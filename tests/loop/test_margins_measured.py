@@ -125,6 +125,7 @@ def test_figures_that_are_no_measurement_are_refused() -> None:
             assert run.command(Setting.MARGINS, ms, error) is Refusal.OUT_OF_RANGE
 
 
+@pytest.mark.study
 def test_without_the_section_the_multisine_is_far_weaker() -> None:
     settings = measuring()
     with tensioned(PAPER, design(PAPER), Mode.COMPENSATING) as run:

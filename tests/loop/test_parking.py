@@ -102,6 +102,7 @@ def test_the_rig_file_says_how_long_the_motor_holds(settings: RigSettings, gains
             assert motor_s == pytest.approx(park_s, abs=0.05)
 
 
+@pytest.mark.gate("0.4")
 @pytest.mark.parametrize("creep", [0.4, -0.4])
 def test_a_creep_that_no_encoder_sees_ends_on_the_brake(held: Lockstep, creep: float) -> None:
     """300 N fell to 61 N, or rose to 406 N, in 100 s of a HOLD under power."""

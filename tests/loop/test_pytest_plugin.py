@@ -61,6 +61,7 @@ def report_and_replay(recording: pathlib.Path, folder: pathlib.Path) -> None:
     assert sum(row["same"] for row in found["loops"]) > 500  # ticks of the last half second at least
 
 
+@pytest.mark.study
 def test_a_failed_test_keeps_its_picture_and_its_recording(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(TRIPS.format(rig="hil_rig"))
     done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", "-o", "hil_results=kept")

@@ -49,6 +49,7 @@ def run(
     return find(read(*parts_of(file), frames=False)), truth
 
 
+@pytest.mark.study
 def test_the_error_is_the_plants_and_the_cells_noise(run: tuple[Findings, dict[int, float]]) -> None:
     found, truth = run
     assert found.verdict.passed

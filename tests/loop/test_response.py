@@ -115,6 +115,7 @@ def test_the_response_is_the_true_one_wherever_it_is_coherent(
     assert margins["ms_output"]["value"] == pytest.approx(peaks[1], abs=0.1)
 
 
+@pytest.mark.gate("3")
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.COMPENSATING])
 def test_a_hold_ends_it_at_once_and_an_ended_one_gives_no_figures(mode: Mode) -> None:
     settings = PAPER

@@ -31,7 +31,7 @@ WEIGHT = CELL_U_N**2 / (CELL_U_N**2 + U_N**2)
 MEAN_N = 0.01  # of a mean over a second: noise, and the encoder's step of 1 um, of 6 mN
 RATE_HZ = 500
 Kind_ = Literal["cell", "stretch"]
-KINDS: tuple[Kind_, ...] = ("cell", "stretch")
+KINDS = ["cell", pytest.param("stretch", marks=pytest.mark.study)]
 
 
 def fitted(settings: RigSettings, kind: Kind_, errors: dict[str, Any] | None = None, **cell: float) -> RigSettings:
@@ -143,6 +143,7 @@ def test_two_paths_that_disagree_hold_the_rig_until_they_agree(
         assert rig.command(Verb.RESET) is Refusal.NONE
 
 
+@pytest.mark.study
 def test_a_second_path_that_is_lost_is_logged_and_the_cell_leads_alone(settings: RigSettings, gains: Gains) -> None:
     with tared(fitted(settings, "cell", {"bias_n": 0.0}), gains) as rig:
         second = rig.rig.second_force

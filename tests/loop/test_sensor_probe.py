@@ -61,6 +61,7 @@ class Watched:
         return self.run.loop.machine.fault
 
 
+@pytest.mark.gate("0.05-34.0")
 @pytest.mark.parametrize("spring_n_mm", [6.0, 34.0])
 @pytest.mark.parametrize("offset_n", [0.05, -0.05])
 def test_a_cell_frozen_with_its_noise_and_an_offset_moves_the_load_by_a_tenth_at_most(
@@ -75,6 +76,7 @@ def test_a_cell_frozen_with_its_noise_and_an_offset_moves_the_load_by_a_tenth_at
         assert abs(run.loop.inbox.tension_n - 300.0) < 1.0  # nothing of it was shown
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("drift_n_s", [-6.0, 2.0])
 def test_a_cell_that_drifts_moves_the_load_by_a_tenth_at_most(drift_n_s: float) -> None:
     settings = rig()

@@ -149,6 +149,7 @@ def test_a_rope_that_is_tight_and_on_target_is_felt_before_the_loop_closes_for_g
     assert SLOPE_N - 1.0 < found.off_n < SLOPE_N + turn_n + 1.0 + count_n
 
 
+@pytest.mark.gate("6.1-0")
 @pytest.mark.parametrize(("said_n_mm", "fault"), [(6.1, Fault.NONE), (None, Fault.SIGN_CELL)])
 def test_a_mechanism_softer_than_the_spring_is_no_wrong_sign_where_the_file_says_so(
     settings: RigSettings, said_n_mm: float | None, fault: Fault

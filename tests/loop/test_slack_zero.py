@@ -41,6 +41,7 @@ def tensioned(rig: Lockstep) -> None:
     rig.run(1.0)
 
 
+@pytest.mark.study
 def test_the_rest_before_a_tensioning_counts_once_the_slack_is_taken_up_and_so_does_the_one_after_a_release(
     settings: RigSettings, gains: Gains
 ) -> None:
@@ -76,6 +77,7 @@ def test_as_a_check_it_is_seen_and_nothing_is_corrected(settings: RigSettings, g
         assert rig.loop.inbox.cell.slack_zero_n == 0.0
 
 
+@pytest.mark.gate("0.6")
 @pytest.mark.parametrize("bias_n", [0.6, -0.6])
 def test_a_zero_beyond_its_limit_is_not_corrected_is_logged_and_bars_the_next_arming_until_a_tare(
     settings: RigSettings, gains: Gains, bias_n: float
@@ -119,6 +121,7 @@ def test_a_tare_takes_the_place_of_what_was_found(settings: RigSettings, gains: 
         assert cell.offset_n == pytest.approx(0.12, abs=NOISE_N)
 
 
+@pytest.mark.study
 def test_without_the_setting_there_is_no_such_event_and_no_other_bit(settings: RigSettings, gains: Gains) -> None:
     found = []
     for made in (settings, fitted(settings, "off", 0.0), fitted(settings, "check", 0.0)):

@@ -75,6 +75,7 @@ def told(rig: Lockstep, kind: Kind) -> list[str]:
 
 
 # -- creep ------------------------------------------------------------------------------------------------------
+@pytest.mark.gate("0.1-1.0-1")
 @pytest.mark.parametrize("mode", [Mode.HOLD, pytest.param(Mode.FAULT, marks=pytest.mark.long)])
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("speed", SLOW)
@@ -89,6 +90,7 @@ def test_a_drive_that_creeps_slowly_is_corrected_until_the_brake_has_the_load(
         assert rig.rig.drive.control.stage.braked
 
 
+@pytest.mark.gate("0.45-1.0")
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("speed", SLOW)
 def test_a_drive_that_creeps_slowly_is_corrected(held: Lockstep, speed: float, way: float) -> None:
@@ -98,6 +100,7 @@ def test_a_drive_that_creeps_slowly_is_corrected(held: Lockstep, speed: float, w
     assert held.rig.drive.control.enabled
 
 
+@pytest.mark.gate("0.55-1.0-1", "2.0--1.0-5", "8.0-1.0-1")
 @pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("speed", FAST)
@@ -206,6 +209,7 @@ def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held
     assert held.loop.machine.action is Action.POWER_OFF
 
 
+@pytest.mark.study
 def test_a_stroke_that_slips_slowly_while_disarmed_is_a_fault(settings: RigSettings, gains: Gains) -> None:
     """0.15 mm/s: too slow for the reported speed, which 0.2 mm/s trip."""
     with lockstep(settings, gains) as rig:
@@ -225,6 +229,7 @@ def test_a_stroke_that_slips_slowly_while_disarmed_is_a_fault(settings: RigSetti
 
 
 # -- a wrong encoder ----------------------------------------------------------------------------------------------
+@pytest.mark.gate("its speed is true--0.45", "its speed is true-1.2", "its speed drifts with it-0.55")
 @pytest.mark.parametrize("speed", [0.2, -0.45, 0.55, 1.2])
 @pytest.mark.parametrize("too", [False, True], ids=["its speed is true", "its speed drifts with it"])
 def test_a_position_that_drifts_does_not_take_the_load_along(

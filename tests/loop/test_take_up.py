@@ -50,6 +50,7 @@ def test_a_cell_frozen_on_a_slack_rope_lets_the_stroke_go_to_a_tenth_of_the_targ
             rig.run_until(Mode.HOLD, 1.0)
 
 
+@pytest.mark.gate("0.0-20")
 @pytest.mark.parametrize(("slack_mm", "status_rate_hz"), [(0.0, 20), (30.0, 20), (30.0, 5)])
 def test_a_rope_that_the_cell_shows_is_tensioned_as_before(
     settings: RigSettings, gains: Gains, slack_mm: float, status_rate_hz: int

@@ -301,6 +301,7 @@ def test_the_newest_dumps_are_kept_and_what_is_deleted_is_on_record(kept: Kept) 
     assert gone.text == names[0]
 
 
+@pytest.mark.study
 def test_a_folder_that_takes_no_dump_is_told_and_tried_again_and_given_up_in_the_end(
     kept: Kept, capfd: pytest.CaptureFixture[str]
 ) -> None:

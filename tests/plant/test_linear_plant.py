@@ -20,7 +20,7 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from tests.builders.daemons import PAPER
 
-RIGS = 50
+RIGS, IN_THE_GATE = 50, 8
 SEED = 23
 HZ = np.array([2.0, 5.0, 11.0, 23.0, 47.0, 79.0, 125.0, 180.0, 240.0, 300.0])
 PERIOD_S, PERIODS = 1.0, 2
@@ -91,6 +91,7 @@ def measured(rig: RigSettings) -> npt.NDArray[np.complex128]:
     return np.asarray((lines @ (means - means.mean())) / (lines @ command))
 
 
+@pytest.mark.gate(*map(str, range(IN_THE_GATE)))
 @pytest.mark.parametrize("index", range(RIGS))
 def test_design_and_simulated_plant_have_one_response(index: int) -> None:
     rig = on_the_grid(changed(drawn(config.load(PAPER), SEED, index)[0], LINEAR))

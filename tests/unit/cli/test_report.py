@@ -124,6 +124,7 @@ def test_settings_of_another_version_are_told_and_the_requirement_is_judged_all_
     assert (tmp_path / "old.html").exists()
 
 
+@pytest.mark.study
 def test_the_same_recording_gives_the_same_page_in_every_process(tmp_path: pathlib.Path) -> None:
     file = write(tmp_path / "twice.mcap", compensating(small, 6.0))
     pages = [tmp_path / "one.html", tmp_path / "two.html"]
