@@ -129,6 +129,7 @@ def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSetti
     assert found >= arming.STILL_NS
 
 
+@pytest.mark.gate("0.12", "8.0")
 @pytest.mark.parametrize("speed_mm_s", [0.12, -0.12, 8.0])
 def test_a_stroke_that_creeps_is_not_at_standstill(settings: RigSettings, speed_mm_s: float) -> None:
     still = arming.Standstill(settings)

@@ -116,6 +116,7 @@ def test_an_encoder_that_drifts_does_not_take_the_load_along(held: Lockstep, dri
     assert stays(held, 10.0)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("drift", [0.3, pytest.param(-0.3, marks=pytest.mark.long)])
 def test_a_fault_is_held_by_the_brake_whatever_the_encoder_shows(held: Lockstep, drift: float) -> None:
     """FAULT by a silent cell: HOLD's own correction took 300 N to 193 N in 60 s."""
@@ -238,6 +239,7 @@ def test_a_load_parked_for_long_is_taken_back_after_a_read_back_of_every_object(
     assert read_backs(parked) == 1
 
 
+@pytest.mark.study
 def test_a_setting_lost_while_parked_bars_taking_the_load_back(parked: Lockstep) -> None:
     parked.rig.drive.device.set_data(objects.ABORT_CONNECTION_OPTION, 0, b"\0\0")
     parked.run(20.0)  # the read-back goes on, one object after the other
@@ -254,6 +256,7 @@ def test_no_brake_test_of_two_seconds_is_made_again(parked: Lockstep) -> None:
 
 
 # -- trials ----------------------------------------------------------------------------------------------------------
+@pytest.mark.study
 def test_a_trial_has_the_motor_hold_by_name_and_for_a_stated_time(parked: Lockstep) -> None:
     parked.events.read()
     assert parked.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE
@@ -314,6 +317,7 @@ def test_a_drives_own_fault_is_reset_to_disarmed(parked: Lockstep) -> None:
 
 
 # -- a rig without a brake ---------------------------------------------------------------------------------------------
+@pytest.mark.study
 def test_a_rig_that_needs_no_brake_is_held_by_the_motor(settings: RigSettings, gains: Gains) -> None:
     words = {"brake_waiver": "a study: the screw is self-locking", "brake_test": False}
     cylinder = settings.cylinder.model_copy(update=words)

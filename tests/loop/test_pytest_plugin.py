@@ -91,6 +91,7 @@ def test_a_failed_test_in_real_time_keeps_them_too(pytester: pytest.Pytester) ->
     report_and_replay(recording, pytester.path)
 
 
+@pytest.mark.study
 def test_a_failed_assertion_is_followed_by_few_words_about_the_stretch(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_it(hil_rig):\n    assert hil_rig.run(0.1).figure('skipped') == 7.0\n")
     done = pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider")
@@ -98,6 +99,7 @@ def test_a_failed_assertion_is_followed_by_few_words_about_the_stretch(pytester:
     assert "RigSettings(" not in done.stdout.str()
 
 
+@pytest.mark.study
 def test_a_second_disturbance_leaves_the_first_one_going(pytester: pytest.Pytester) -> None:
     """The mechanism has turned by 1 deg when the heave begins, and stays there; the jolt comes on top of the heave."""
     pytester.makepyfile(

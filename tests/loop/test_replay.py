@@ -191,6 +191,7 @@ def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Reco
         spans(dataclasses.replace(recording, generations=found))
 
 
+@pytest.mark.study
 def test_other_gains_command_something_else(paper: tuple[Recording, ProcessSpan]) -> None:
     recording, span = paper
     same, other = Against(), Against()

@@ -86,6 +86,7 @@ def compensate(rig: Lockstep) -> None:
     rig.run_until(Mode.COMPENSATING, 20.0)
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("kind", KINDS)
 def test_zero_and_scale_come_with_the_cells_and_then_both_paths_agree(
     settings: RigSettings, gains: Gains, kind: Kind_
@@ -105,6 +106,7 @@ def test_zero_and_scale_come_with_the_cells_and_then_both_paths_agree(
         assert rig.loop.machine.mode is Mode.COMPENSATING
 
 
+@pytest.mark.study
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_error_of_the_cell_is_shared_by_the_weight_of_the_paths(
     settings: RigSettings, gains: Gains, kind: Kind_

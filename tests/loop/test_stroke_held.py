@@ -123,6 +123,7 @@ def test_a_creep_that_is_corrected_is_told_with_its_speed_once(held: Lockstep) -
     assert "0x60B1" in text
 
 
+@pytest.mark.study
 def test_a_stroke_that_leaves_its_latch_is_told_once_and_again_once_it_was_back(held: Lockstep) -> None:
     """A position that contradicts its speed switches the correction off; what creeps then is only watched."""
     held.loop._stroke_hold._doubted = True
@@ -164,6 +165,7 @@ def test_the_issues_creep_no_longer_ends_at_733_newtons(settings: RigSettings, g
 
 
 # -- the latch --------------------------------------------------------------------------------------------------
+@pytest.mark.gate("True")
 @pytest.mark.parametrize("speed_up", [True, False])
 def test_hold_at_speed_is_bumpless_and_is_not_pulled_back(rig: Lockstep, enter: Callable[[Mode], None],
                                                           speed_up: bool) -> None:  # fmt: skip
@@ -180,6 +182,7 @@ def test_hold_at_speed_is_bumpless_and_is_not_pulled_back(rig: Lockstep, enter: 
     assert commands[500:].max() == 0.0
 
 
+@pytest.mark.study
 def test_a_trial_moves_the_stroke_and_it_is_latched_where_it_ends(held: Lockstep) -> None:
     latched = held.loop._stroke_hold.reference_mm
     assert held.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE

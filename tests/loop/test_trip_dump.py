@@ -186,6 +186,7 @@ def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
     assert replies[-1] == "not carried out: OUT_OF_RANGE, COMPENSATING"
 
 
+@pytest.mark.study
 def test_a_dump_of_a_young_loop_comes_out_bit_identical(
     settings: RigSettings, gains: Gains, tmp_path: pathlib.Path
 ) -> None:
@@ -218,6 +219,7 @@ def umask() -> int:
     return found
 
 
+@pytest.mark.study
 def test_two_trips_within_seconds_are_both_covered(kept: Kept) -> None:
     rig = kept.rig
     first_ns = trip(rig)

@@ -191,6 +191,7 @@ def test_a_recording_of_hardly_a_tick_has_its_page(ticks: int, tmp_path: pathlib
     assert "</html>" in page.read_text()
 
 
+@pytest.mark.study
 def test_documents_of_another_kind_are_left_out(tmp_path: pathlib.Path, in_process: Command) -> None:
     documents: list[dict[str, Any]] = [
         {"settings": [1], "design": {"gains": 3, "margins": [1, {"ms": "x"}], "warnings": "w"}},

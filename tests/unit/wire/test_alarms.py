@@ -269,6 +269,7 @@ def test_any_events_make_one_row_for_each_cause(raw: list[tuple[Kind, Fault, str
     assert order == sorted(order)
 
 
+@pytest.mark.study
 @given(st.lists(st.text(max_size=20), min_size=ROWS + 5, max_size=ROWS + 9, unique=True))
 def test_invented_causes_fill_no_memory(names: list[str]) -> None:
     events = [trip(at, Fault.LIMIT) | {"about": name} for at, name in enumerate(names)]
