@@ -164,6 +164,7 @@ class Observer:
             slack=self.slack, mode=self._machine.mode,
         )  # fmt: skip
         snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
+        snapshot.runaway_mm_s = figures.runaway_mm_s
         snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
         snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
         snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.cell_step_n
