@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 
+from hil.faults import in_device
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
@@ -20,8 +22,8 @@ from rigctl.control.tension import Gains
 WAIT_S = WAIT_NS * 1e-9
 
 
-def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING) -> None:
-    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, Action.POWER_OFF), rig.clock.now())
+def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING, action: Action = Action.POWER_OFF) -> None:
+    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, action), rig.clock.now())
 
 
 def reported(rig: Lockstep) -> list[str]:
@@ -122,6 +124,19 @@ def test_the_drives_feedback_at_the_io_node_confirms_it_at_once(fitted: Lockstep
     fitted.run(0.6)
     assert shown(fitted) is PowerOff.INPUT
     assert without_power(fitted)
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_stroke_that_goes_on_is_on_no_brake_before_its_power_is_cut(rig: Lockstep) -> None:
+    """The drive reports READY TO SWITCH ON as soon as it stops; its ramp ends at standstill, which does not come."""
+    cut(rig, Fault.CELL_STALE, Action.HOLD)
+    rig.run(0.15)
+    in_device.torque_lost(free=False)(Stand(rig, "shorted"))
+    for _ in range(1500):
+        rig.tick()
+        if rig.loop.observer.snapshot.held_by is HeldBy.BRAKE:
+            assert not rig.rig.drive.control.stage.powered
+    assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
