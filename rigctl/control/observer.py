@@ -238,7 +238,7 @@ class Observer:
     def look_at_load(self) -> None:
         """What carries the load, and whether a power off is confirmed, after this tick's decision."""
         snapshot, machine = self.snapshot, self._machine
-        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot)
+        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, braked=self.braked)
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,

@@ -73,7 +73,7 @@ def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
     assert without_power(rig)
     assert moves_mm(rig) < 0.01
     (line,) = reported(rig)
-    assert "confirmed by a tension at rest" in line
+    assert "confirmed by the drive's state and a tension at rest" in line
 
 
 def test_on_a_slack_rope_the_drives_own_state_and_stroke_confirm_it(rig: Lockstep) -> None:
@@ -97,6 +97,23 @@ def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep
     (line,) = reported(rig)
     assert "UNCONFIRMED" in line
     assert "emergency stop" in line
+
+
+@pytest.mark.parametrize("rig", [Mode.COMPENSATING], indirect=["rig"])
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_load_at_rest_is_no_power_off_while_the_motor_may_carry_it(rig: Lockstep, silent: bool) -> None:
+    """The firmware has failed with the motor at rest: it reports OPERATION ENABLED, or is not heard after NMT stop."""
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    rig.run(0.2)
+    rig.rig.drive.hung = True
+    rig.loop.machine.trip(
+        Trip(Fault.DRIVE_NOT_FOLLOWING, 1.0, 0.5, Action.SILENCE if silent else Action.POWER_OFF), rig.clock.now()
+    )
+    for _ in range(round((WAIT_S + 1.0) * rig.settings.loop.rate_hz)):
+        rig.tick()
+        assert not shown(rig).confirmed
+    assert rig.rig.drive.control.stage.powered
+    assert shown(rig) is PowerOff.UNCONFIRMED
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
