@@ -93,7 +93,9 @@ class InjectedFault:
     there on from that value at the reaction. ``held_mm`` bounds the distance of the true stroke from its value without
     the fault, in the modes that keep it (DISARMED, HOLD, FAULT), from the fault's beginning on. ``within_ms`` is the
     time from the fault's beginning to the reaction, where physics give one, ``latency_ms`` that from the first sample
-    beyond a limit of the rig.
+    beyond a limit of the rig. ``after_s``: the row is watched for so long after its ``seconds``. ``shown_late_ms``: age
+    that the fault itself adds to the statusword shown. ``against_cut``: instead of ``band_n``, the load may be off by
+    10 % more than with the motor's power cut at the first tick that shows the fault (`hil.faults.first_sign`).
     """
 
     id: str
@@ -102,7 +104,10 @@ class InjectedFault:
     expected: Expected
     _: KW_ONLY
     seconds: float = 1.0
+    after_s: float = 0.0
+    shown_late_ms: float = 0.0
     band_n: float = ACCURACY_N
+    against_cut: bool = False
     held_mm: float = math.inf
     within_ms: float = math.inf
     latency_ms: float = SENSOR_MS

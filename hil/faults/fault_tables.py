@@ -88,6 +88,8 @@ def page_row(fault: InjectedFault | ProcessFault) -> str:
     """The fault's row in docs/faults.md."""
     what = f"{fault.what}; {fault.why}" if fault.why else fault.what
     bound = f"{fault.band_n:g}" if fault.carried else "-"
+    if isinstance(fault, InjectedFault) and fault.against_cut:
+        bound = "cut + 10 %"
     return f"| `{fault.id}` | {fault.place} | {what} | {worded(fault.expected)} | {bound} |"
 
 

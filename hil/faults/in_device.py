@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 
-from hil.faults.stand import FindNode, Injector, Stand, Step
-from hil.nodes.cylinder_drive import ServiceTool
-from hil.nodes.node import Node
+from hil.faults.stand import FindNode, Injector, NoDeviceError, Stand, Step
+from hil.nodes.cylinder_drive import CylinderDrive, ServiceTool
+from hil.nodes.node import GENERIC_ERROR, Node
+from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import AiStatus
+from rigctl.devices.objects import AiStatus, DriveState
 
 Address = tuple[int, int]
 CELL = (objects.AI_PROCESS_VALUE, 1)
@@ -23,6 +25,10 @@ _INT16, _INT32 = (-(1 << 15) + 1, (1 << 15) - 1), (-(1 << 31) + 1, (1 << 31) - 1
 _RANGES = {CELL: _INT32, STROKE: _INT32, LONG: _INT16, LATERAL: _INT16, SPEED: _INT16}
 NOT_A_NUMBER = -(1 << 31)
 SPIKE_EVERY_MS = 200
+FREE_KG = 50.0
+"""Rotor and screw as seen by the rope, where nothing but their mass and the screw's friction resists the load."""
+_ANEW_NS = 5_000_000
+_WORD_BYTES = 2  # the controlword is the first object of the command PDO
 
 
 def reads(
@@ -207,6 +213,115 @@ def rpdo_late(ticks: int) -> Injector:
             return waiting.popleft() if len(waiting) > ticks else None
 
         stand.drive.rpdo_defect = delayed
+
+    return inject
+
+
+def controlword_every(ticks: int) -> Injector:
+    """The drive takes its controlword from one RPDO in ``ticks``, and the target velocity from each."""
+
+    def inject(stand: Stand) -> None:
+        count, word = itertools.count(), [b""]
+
+        def sampled(data: bytes) -> bytes:
+            if next(count) % ticks == 0:
+                word[0] = data[:_WORD_BYTES]
+            return word[0] + data[_WORD_BYTES:]
+
+        stand.drive.rpdo_defect = sampled
+
+    return inject
+
+
+def state_persists(state: DriveState) -> Injector:
+    """Every commanded stop of the drive ends in this state, its motor carrying; disable voltage alone ends it."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.control.persists = state
+
+    return inject
+
+
+def state_reported(state: DriveState) -> Injector:
+    """The drive reports this state whatever state it is in, and otherwise does as before."""
+    mask = objects.DRIVE_STATE_MASK
+    return lambda stand: stand.drive.distort(*STATUS, lambda raw: raw & ~mask | state & mask)
+
+
+def enabling_refused() -> Injector:
+    """The drive takes every command and does not switch its motor on."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.control.refuses = True
+
+    return inject
+
+
+def torque_lost(*, free: bool, after_s: float = 0.0) -> Injector:
+    """The motor has no torque any more: the load turns it, against its shorted windings, or freely.
+
+    ``free``: the load accelerates `FREE_KG` against the friction of the screw; else it sinks at the speed of a motor
+    without power. ``after_s``: only for so long after each opening of the brake, as a current that comes late; 0: for
+    good.
+    """
+
+    def inject(stand: Stand) -> None:
+        drive = stand.settings.simulation.drive if stand.settings.simulation is not None else None
+        if drive is None:
+            raise NoDeviceError("this rig has no simulated drive")
+        speed_mm_s, at_ns, open_ns = 0.0, 0, 0
+        if not stand.drive.brake.closed:
+            at_ns = stand.plant.t_ns
+
+        def turned(load_n: float, t_ns: int) -> float | None:
+            nonlocal speed_mm_s, at_ns, open_ns
+            if t_ns - at_ns > _ANEW_NS:  # the brake was closed meanwhile
+                speed_mm_s, open_ns = 0.0, t_ns
+            elif free:
+                gained = (load_n - drive.friction_n) / FREE_KG * 1e3 * (t_ns - at_ns) * 1e-9
+                speed_mm_s = min(0.0, speed_mm_s - gained)
+            at_ns = t_ns
+            if after_s and t_ns - open_ns >= after_s * 1e9:
+                return None
+            return speed_mm_s if free else -load_n / drive.creep_n_s_mm
+
+        stand.drive.torque_defect = turned
+
+    return inject
+
+
+def boots_slowly(find: FindNode, seconds: float) -> Injector:
+    """A device starts anew, and its boot-up takes so long; it is silent meanwhile."""
+
+    def inject(stand: Stand) -> None:
+        node = find(stand)
+        node.behave(DevicesSettings(boot_s=seconds))
+        node.reset_node()
+
+    return inject
+
+
+def start_refused(find: FindNode) -> Injector:
+    """A device resets its communication, and takes no NMT start any more."""
+
+    def inject(stand: Stand) -> None:
+        node = find(stand)
+        node.refuses_start = True
+        node.reset_communication()
+
+    return inject
+
+
+def back_in_error(find: FindNode, code: int) -> Injector:
+    """A device starts anew and comes back with an error that persists."""
+
+    def inject(stand: Stand) -> None:
+        node = find(stand)
+        node.reset_node()
+        if isinstance(node, CylinderDrive):
+            node.trip(code)
+        else:
+            node.raise_error(code, GENERIC_ERROR)
 
     return inject
 

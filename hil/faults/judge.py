@@ -13,7 +13,7 @@ from hil.faults.lockstep_run import Floats, Run, TripEvent
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal
+from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal
 
 STANDS_MM = 0.1
 """A held stroke moves less than this once it has come to rest ..."""
@@ -28,6 +28,11 @@ DRIVE_STOPS_MS = 100.0
 MOVES_MM_S, LAST_S, DEAD_REST_MM = 0.1, 1.0, 0.02
 """A load moves: faster than the first over the last second of a row; it rests: less than the third in half a second."""
 DEATH = "the death of the loop stopped it"
+WORSE_THAN_CUT = 1.1
+SHOWN_TICKS = 2
+"""Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
+ROUNDING_S = 1e-6
+_CONFIRMED = [int(shown) for shown in PowerOff if shown.confirmed]
 KEPT_IN = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke in place."""
 _WHAT_WILL_DO = {
@@ -79,8 +84,13 @@ class FaultResult:
         return {**values, **unknown, "ok": self.ok}
 
 
-def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings) -> FaultResult:
-    """Compare a run with the catalogue's expectation."""
+def judge(
+    fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings: RigSettings, cut: Run | None = None
+) -> FaultResult:
+    """Compare a run with the catalogue's expectation.
+
+    ``cut``: the same with the motor's power cut at the first tick that shows the fault, for a row held against it.
+    """
     expected = fault.expected[mode]
     run, dead = _parted(run)
     at = _last_fault_at(run) if fault.ends_elsewhere else _reaction_at(run, expected, mode)
@@ -94,8 +104,9 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
     findings = []
     if reaction not in _WHAT_WILL_DO.get(expected, {expected}):
         findings.append(f"{reaction}")
-    if not math.isfinite(error_n) or error_n > fault.band_n:
-        findings.append(f"tension {error_n:.1f} N off, expected at most {fault.band_n:g}")
+    band_n = fault.band_n if cut is None else _band_by_cut_n(cut, undisturbed, expected, mode)
+    if not math.isfinite(error_n) or error_n > band_n:
+        findings.append(f"tension {error_n:.1f} N off, expected at most {band_n:.3g}")
     if mode in KEPT_IN and (moved_mm := _moved_mm(run, undisturbed, None)) > fault.held_mm:
         findings.append(f"stroke moved {moved_mm:.2f} mm, expected at most {fault.held_mm:g}")
     if fault.carried and not carried:
@@ -103,6 +114,7 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
     findings += _uncounted(fault, run, undisturbed)
     findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
+    findings += _shown_off(run, fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9)
     return FaultResult(
         fault.id,
         mode.name,
@@ -120,10 +132,15 @@ def judge(fault: InjectedFault, mode: Mode, run: Run, undisturbed: Run, settings
     )
 
 
+def _band_by_cut_n(cut: Run, undisturbed: Run, expected: Reaction, mode: Mode) -> float:
+    cut, _ = _parted(cut)
+    return WORSE_THAN_CUT * _error_n(cut, undisturbed, _reaction_at(cut, expected, mode))
+
+
 def _parted(run: Run) -> tuple[Run, Floats]:
     """The run up to the death of its loop, and the stroke from then on."""
     end = len(run.t_s) if run.dead_from is None else run.dead_from
-    alive = {name: getattr(run, name)[:end] for name in ("t_s", "tension_n", "stroke_mm", "enabled")}
+    alive = {name: getattr(run, name)[:end] for name in ("t_s", "tension_n", "stroke_mm", "enabled", "powered")}
     return replace(run, **alive), run.stroke_mm[end:]
 
 
@@ -143,6 +160,22 @@ def _stopped_by_death(run: Run, dead: Floats, undisturbed: Run, at: float | None
     moved_n = away_n(off_n[-1:], off_n[0])[0] if regulated else abs(off_n[-1] - off_n[0])
     speed_mm_s = float(moved_n) / stiffness_n_mm / last_s
     return [f"the load moved at {speed_mm_s:.2f} mm/s until {DEATH}"] if speed_mm_s > MOVES_MM_S else []
+
+
+def _shown_off(run: Run, late_s: float) -> list[str]:
+    """Records that show the drive without power while its motor has had current for longer than ``late_s``.
+
+    That is the age of the statusword shown: a record shows what was sent before it.
+    """
+    shown = (run.records["held_by"] == HeldBy.BRAKE) | np.isin(run.records["power_off"], _CONFIRMED)
+    off_s = np.append(run.t_s[~run.powered], -math.inf)
+    off_s.sort()
+    since_s = np.maximum(off_s[np.searchsorted(off_s, run.records_t_s, side="right") - 1], run.t_s[0] - late_s)
+    wrong = shown & (run.records_t_s - since_s > late_s + ROUNDING_S)
+    if not np.any(wrong):
+        return []
+    first_s = run.records_t_s[np.flatnonzero(wrong)[0]]
+    return [f"power off shown in {np.count_nonzero(wrong)} ticks while the motor had current, first {first_s:.3f} s"]
 
 
 def away_n(off_n: Floats, from_n: float) -> Floats:

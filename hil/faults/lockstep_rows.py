@@ -40,7 +40,9 @@ def play(rig: RigSettings, rows: Sequence[tuple[InjectedFault, Mode]], advance: 
 def row_of(bench: Bench, fault: InjectedFault, mode: Mode) -> FaultResult:
     """Play and judge one row; a row whose mode cannot be reached has failed."""
     try:
-        return judge(fault, mode, bench.play(fault, mode), bench.undisturbed(fault, mode), bench.settings)
+        run, undisturbed = bench.play(fault, mode), bench.undisturbed(fault, mode)
+        cut = bench.play_cut(fault, mode) if fault.against_cut else None
+        return judge(fault, mode, run, undisturbed, bench.settings, cut)
     except (RuntimeError, TimeoutError) as error:
         return FaultResult.unreached(fault.id, mode, fault.expected[mode], str(error))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import math
 import weakref
 from collections import OrderedDict
 from collections.abc import Iterable
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from hil.branching import BranchPoint
 from hil.faults import arming_phases, stand
 from hil.faults.expected import Around, InjectedFault, Reaction
+from hil.faults.first_sign import cut_at_first_sign
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
@@ -72,7 +74,8 @@ class Run:
     t_s: Floats
     tension_n: Floats
     stroke_mm: Floats
-    enabled: npt.NDArray[np.bool_]  # whether the drive's motor is on
+    enabled: npt.NDArray[np.bool_]  # whether the drive's motor is on, or will be as soon as the brake is open
+    powered: npt.NDArray[np.bool_]  # whether the motor has current, whatever the drive reports
     records_t_s: Floats
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
@@ -80,7 +83,7 @@ class Run:
     refusal: Refusal | None  # of the arm command at the end, where one was given
     events: npt.NDArray[Any]  # of the loop, from the fault's beginning on
     lead: npt.NDArray[Any]  # records of the seconds before it
-    dead_from: int | None  # sample from which on the loop was dead: killed at the end where the drive was on; else None
+    dead_from: int | None  # sample from which on the loop was dead: killed at the end where the motor was on; else None
 
 
 class _Watcher:
@@ -89,13 +92,14 @@ class _Watcher:
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
         self._origin_ns = rig.clock.now()
-        self.rows: list[tuple[float, float, float, bool]] = []
+        self.rows: list[tuple[float, float, float, bool, bool]] = []
 
     def __call__(self) -> None:
         rig = self._rig.rig
         truth = rig.truth
         t_s = (truth.t_ns - self._origin_ns) * 1e-9
-        self.rows.append((t_s, truth.tension_n, truth.stroke_mm, rig.drive.control.enabled))
+        control = rig.drive.control
+        self.rows.append((t_s, truth.tension_n, truth.stroke_mm, control.enabled, control.stage.powered))
 
 
 @dataclass(frozen=True)
@@ -111,32 +115,41 @@ class _Prepared:
 class Bench:
     """Plays rows on a rig and keeps the runs without a fault."""
 
-    def __init__(self, settings: RigSettings, gains: Gains) -> None:
+    def __init__(self, settings: RigSettings, gains: Gains, *, most_after_s: float = math.inf) -> None:
+        """``most_after_s``: longest time that a row is watched after its own seconds."""
         self.settings = settings
-        self._gains = gains
+        self._gains, self._most_after_s = gains, most_after_s
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
         self._prepared: OrderedDict[Start, tuple[_Prepared, contextlib.ExitStack]] = OrderedDict()
         weakref.finalize(self, _close, self._prepared)
 
     def undisturbed(self, fault: InjectedFault, mode: Mode) -> Run:
         """Play a row without its fault."""
-        return self._undisturbed(fault.around, mode, fault.seconds, fault.from_start)
+        return self._undisturbed(fault.around, mode, self._seconds(fault), fault.from_start)
 
     def play(self, fault: InjectedFault, mode: Mode) -> Run:
         """Play a row."""
         arms = fault.expected[mode] is Reaction.REFUSED
-        return self._play(fault.around, mode, fault.seconds, fault.from_start, fault, arms=arms)
+        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, arms=arms)
+
+    def play_cut(self, fault: InjectedFault, mode: Mode) -> Run:
+        """Play a row, and cut the motor's power at the first tick that shows the fault."""
+        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, arms=False, cuts=True)
+
+    def _seconds(self, fault: InjectedFault) -> float:
+        return fault.seconds + min(fault.after_s, self._most_after_s)
 
     def _play_undisturbed(self, around: Around, mode: Mode, seconds: float, from_start: bool) -> Run:
         return self._play(around, mode, seconds, from_start, None, arms=False)
 
     def _play(
-        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool
-    ) -> Run:
+        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool,
+        cuts: bool = False,
+    ) -> Run:  # fmt: skip
         prepared = self._prepare(start_of(around, mode, from_start))
         seed = f"{SEED}:{fault.id if fault else ''}:{mode.name}"
         return prepared.branch_point.branch(
-            lambda: _branch(prepared, around, seconds, from_start, fault, seed, arms=arms)
+            lambda: _branch(prepared, around, seconds, from_start, fault, seed, arms=arms, cuts=cuts)
         )
 
     def _prepare(self, start: Start) -> _Prepared:
@@ -178,6 +191,7 @@ def _branch(
     seed: str,
     *,
     arms: bool,
+    cuts: bool,
 ) -> Run:
     rig, before, lead = prepared.rig, prepared.before, prepared.lead
     subject = Stand(rig, seed)
@@ -195,19 +209,23 @@ def _branch(
         step = fault.inject(subject)
     elif fault is None and around.course is not None:
         step = around.course(subject)
+    if cuts:
+        step = cut_at_first_sign(subject, step)
     records = _go_on(rig, seconds, step)
     rig.on_advance = None
     events = rig.events.read()
     trips = _trips(events, origin_ns)
     refusal = rig.command(Verb.ARM) if arms else None
-    dead_from = len(watcher.rows) if rig.rig.drive.control.enabled and not arms else None
+    control = rig.rig.drive.control
+    dead_from = len(watcher.rows) if (control.enabled or control.stage.powered) and not arms else None
     if dead_from is not None:
         rig.on_advance = watcher
         kill(rig)
-    t_s, tension_n, stroke_mm, enabled = map(np.array, zip(*watcher.rows, strict=True))
+    t_s, tension_n, stroke_mm, enabled, powered = map(np.array, zip(*watcher.rows, strict=True))
     records_t_s = (records["t_ns"] - origin_ns) * 1e-9
     return Run(
-        t_s, tension_n, stroke_mm, enabled, records_t_s, records, before, trips, refusal, events, lead, dead_from
+        t_s, tension_n, stroke_mm, enabled, powered, records_t_s, records, before, trips, refusal, events, lead,
+        dead_from,
     )  # fmt: skip
 
 

@@ -97,6 +97,9 @@ def _restoring(rig: FaultyRig) -> list[Callable[[], None]]:
     put_back(simulated.drive, "defect")
     put_back(simulated.drive, "rpdo_defect")
     put_back(simulated.drive, "hung")
+    put_back(simulated.drive, "torque_defect")
+    put_back(simulated.drive.control, "persists")
+    put_back(simulated.drive.control, "refuses")
     if simulated.second_force is not None:
         put_back(simulated.second_force, "fault_n")
     parameters = np.array(simulated.plant.parameters)

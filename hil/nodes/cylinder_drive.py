@@ -103,6 +103,9 @@ class CylinderDrive(Node):
         """Defect of the motor: maps its right speed (mm/s) and whether the brake holds to the actual ones."""
         self.rpdo_defect: Callable[[bytes], bytes | None] | None = None
         """Defect of the application behind the CAN controller: maps a received RPDO to what it takes; None: nothing."""
+        self.torque_defect: Callable[[float, int], float | None] | None = None
+        """Defect of the motor: maps the load (N) and the time (ns) to the speed (mm/s) at which the load turns it, to
+        None while its torque is as it should be; called while the brake is open."""
         self.hung = False
         """Defect of the same: nothing on the bus, and no loss of it, changes what the motor does."""
         self.readers.update(
@@ -225,6 +228,10 @@ class CylinderDrive(Node):
             yielding_mm_s, held = -brake.slip_mm_s, False
         elif not (held or stage.powered):
             speed_mm_s = -load_n / self._creep_n_s_mm
+        if self.torque_defect is not None and not held:
+            turned_mm_s = self.torque_defect(load_n, self.plant.t_ns)
+            if turned_mm_s is not None:
+                speed_mm_s, yielding_mm_s = 0.0, turned_mm_s
         if self.defect is not None:
             speed_mm_s, held = self.defect(speed_mm_s, held)
         self.plant.set_drive(speed_mm_s, held, yielding_mm_s)

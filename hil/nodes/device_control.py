@@ -20,6 +20,8 @@ _OPTION_OBJECTS = {
 }
 _RAMP_OBJECTS = {1: PROFILE_DECELERATION, 2: objects.QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION,
                  6: objects.QUICK_STOP_DECELERATION}  # fmt: skip
+_BY_ITSELF = frozenset({DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY})
+"""States that no command leads to."""
 _FAULTS = frozenset({DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})
 
 
@@ -51,6 +53,10 @@ class DeviceControl:
         self._clear_faults = clear_faults
         self._enabling = False
         self._torque_off = False
+        self.persists: DriveState | None = None
+        """Defect: every commanded stop ends in this state, the motor carrying; only disable voltage leads out of it."""
+        self.refuses = False
+        """Defect: it does not switch its motor on."""
 
     @property
     def enabled(self) -> bool:
@@ -115,7 +121,7 @@ class DeviceControl:
         self._stop(DriveState.FAULT_REACTION_ACTIVE, ramp, t_ns)
 
     def _enable(self, t_ns: int) -> None:
-        if self.state is DriveState.QUICK_STOP_ACTIVE and not self._stays():
+        if self.refuses or (self.state is DriveState.QUICK_STOP_ACTIVE and not self._stays()):
             return
         self._enabling = True
         self.stage.start(t_ns)
@@ -123,7 +129,9 @@ class DeviceControl:
     def _stop(self, target: DriveState, ramp_option: int, t_ns: int) -> None:
         """Go to ``target``; motor at rest on the ramp of an option code, then brake closed (0: power off at once)."""
         self._enabling = False
-        self.state = target
+        stuck = None if ramp_option == _CUT or target in _BY_ITSELF or not self.stage.powered else self.persists
+        self.state = target if stuck is None else stuck
+        self.stage.carries_on = stuck is not None
         if ramp_option == _CUT:
             self.stage.cut(t_ns)
         else:

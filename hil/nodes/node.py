@@ -106,10 +106,12 @@ class Node:
         self._tpdos: list[TransmitPdo] = []  # empty: to be compiled anew
         self._tpdo_places = [i for i, index in enumerate(_TPDO_MAPPINGS) if index in self.device.object_dictionary]
         self._manner = DevicesSettings()
+        self.refuses_start = False
+        """Defect: NMT start has no effect."""
         self._boots_ns: int | None = None  # end of the boot-up under way
         self._requests: deque[tuple[int, int, bytes, float]] = deque()  # SDO requests, each with its response time
         self._commands: dict[int, Callable[[], None]] = {
-            0x01: lambda: self._enter(NmtState.OPERATIONAL),
+            0x01: self._to_operational,
             0x02: lambda: self._enter(NmtState.STOPPED),
             0x80: lambda: self._enter(NmtState.PRE_OPERATIONAL),
             0x81: self.reset_node,
@@ -198,6 +200,10 @@ class Node:
             command = self._commands.get(data[0])
             if command is not None:
                 command()
+
+    def _to_operational(self) -> None:
+        if not self.refuses_start:
+            self._enter(NmtState.OPERATIONAL)
 
     def _enter(self, state: NmtState) -> None:
         before, self.nmt_state = self.nmt_state, state
@@ -317,10 +323,12 @@ class Node:
         self._tpdos.clear()
 
     def putting_back(self) -> Callable[[], None]:
-        """What undoes, when called, every `distort` and the loss of heartbeat or SYNC after this moment."""
+        """What undoes, when called, every `distort`, another manner, and the loss of heartbeat or SYNC from now on."""
         readers, heartbeat_ns, sync_cob = dict(self.readers), self._heartbeat_ns, self._sync_cob
+        manner, refuses_start = self._manner, self.refuses_start
 
         def undo() -> None:
+            self._manner, self.refuses_start = manner, refuses_start
             self.readers.clear()
             self.readers.update(readers)
             self._tpdos.clear()

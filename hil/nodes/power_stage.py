@@ -33,7 +33,8 @@ class PowerStage:
         brake: the brake itself; by default, one that takes just as long.
     """
 
-    __slots__ = ("_deceleration", "_delay_ns", "_since_ns", "_start_velocity", "brake", "phase", "velocity_mm_s")
+    __slots__ = ("_deceleration", "_delay_ns", "_since_ns", "_start_velocity", "brake", "carries_on", "phase",
+                 "velocity_mm_s")  # fmt: skip
 
     def __init__(self, delay_ns: int, brake: Brake | None = None) -> None:
         self._delay_ns = delay_ns
@@ -43,6 +44,8 @@ class PowerStage:
         self._deceleration = math.inf
         self.phase = StagePhase.BRAKED
         self.velocity_mm_s = 0.0
+        self.carries_on = False
+        """Defect: at standstill the motor goes on carrying, and the brake stays open."""
 
     @property
     def braked(self) -> bool:
@@ -91,7 +94,7 @@ class PowerStage:
             left = abs(self._start_velocity) - self._deceleration * passed_ns * 1e-9 if passed_ns > 0 else math.inf
             left = min(max(left, 0.0), abs(self._start_velocity))
             self.velocity_mm_s = math.copysign(left, self._start_velocity)
-            if left == 0.0 and abs(speed_mm_s) < STANDSTILL_MM_S:
+            if left == 0.0 and abs(speed_mm_s) < STANDSTILL_MM_S and not self.carries_on:
                 self.velocity_mm_s = 0.0
                 self._change(StagePhase.CLOSING, t_ns)
         elif self.phase is StagePhase.OPENING and passed_ns >= self._delay_ns:

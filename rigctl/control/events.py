@@ -16,7 +16,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, Mode, PowerOff, Refusal, Verb
-from rigctl.control.safety import POSITION, SPEED, Action
+from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.devices.objects import DriveState
@@ -121,7 +121,12 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.LOWER: "the motor lowers the load, the brake does not hold it",
 }
 
-_MISSED_UNITS = {SPEED: "mm/s", POSITION: "mm"}
+_MISSED = {
+    SPEED: "its speed is off by {0:.2f} mm/s (limit {1:g} mm/s)",
+    POSITION: "its position is off by {0:.2f} mm (limit {1:g} mm)",
+    RUNAWAY: "its speed is beyond any command by {0:.2f} mm/s (limit {1:g} mm/s), and grows; power off at once",
+    MOVES_OFF: "it reports that it is not enabled, and moves at {0:.2f} mm/s (limit {1:g} mm/s); power off at once",
+}
 _NMT: dict[float, str] = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 
 
@@ -155,10 +160,8 @@ def _missed_words(value: float, limit: float, text: str) -> str:
     """By how much the drive misses its command; without a limit it is not enabled."""
     if not limit:
         return "it is not enabled"
-    unit = _MISSED_UNITS.get(text)
-    if unit is None:  # of a recording from before the rows said which
-        return "its speed or position is off"
-    return f"its {text} is off by {Number(value):.2f} {unit} (limit {Number(limit):g} {unit})"
+    # Recordings from before the rows said which have no text.
+    return _MISSED.get(text, "its speed or position is off").format(Number(value), Number(limit))
 
 
 def _node_words(value: float, limit: float) -> str:

@@ -191,6 +191,8 @@ class Machine:
             return False  # the motor takes the load because the brake slips
         ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE and self._powered
         action = trip.action if ramps else max(trip.action, Action.HOLD)
+        if trip.at_once and self.action is Action.POWER_OFF:
+            self._cut_at_ns = min(self._cut_at_ns, t_ns)
         if self.fault is not Fault.NONE and action <= self.action:
             return False
         if self.fault is Fault.NONE:
@@ -198,6 +200,8 @@ class Machine:
         if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
             self._powered = False
             self._cut_at_ns = t_ns + self._cut_after_ns
+        if trip.at_once:
+            self._cut_at_ns = t_ns
         if action is Action.SILENCE:
             self._silent_at_ns = t_ns
         self.action, self.carry_until_ns = action, 0

@@ -43,9 +43,9 @@ class PowerOff(IntEnum):
     NONE = 0  # no such command
     AWAITED = 1
     INPUT = 2  # the drive's STO feedback at the I/O node
-    HEARTBEAT = 3  # the drive reports NMT stopped, and the tension does not move
-    TENSION = 4  # a tight rope's tension at rest
-    STROKE = 5  # slack rope: the drive reports a state without power, and a stroke at rest
+    HEARTBEAT = 3  # in former recordings: the drive reports NMT stopped, and the tension does not move
+    TENSION = 4  # the drive reports a state without power, and a tight rope's tension is at rest
+    STROKE = 5  # slack rope: the same, and a stroke at rest
     UNCONFIRMED = 6  # nothing in time
 
     @property
@@ -65,7 +65,7 @@ _SHOWN_WORDS: dict[PowerOff, str] = {
     PowerOff.AWAITED: "power off commanded, not yet confirmed",
     PowerOff.INPUT: "power off confirmed by the drive's STO feedback",
     PowerOff.HEARTBEAT: "power off confirmed by the drive's heartbeat, which reports NMT stopped",
-    PowerOff.TENSION: f"power off confirmed by a tension at rest for {_SECONDS}",
+    PowerOff.TENSION: f"power off confirmed by the drive's state and a tension at rest for {_SECONDS}",
     PowerOff.STROKE: f"power off confirmed by the drive's state and a stroke at rest for {_SECONDS}, on a slack rope",
     PowerOff.UNCONFIRMED: "POWER OFF UNCONFIRMED, the drive may still move the load",
 }

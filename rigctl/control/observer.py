@@ -48,6 +48,7 @@ from rigctl.ipc.record import Flag
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
 _ON_COMMANDS = frozenset({Controlword.SWITCH_ON.value, Controlword.ENABLE_OPERATION.value})
+_CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RESET.value})
 _STOPS = frozenset({DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY})
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
@@ -108,6 +109,8 @@ class Observer:
         self.power_off = PowerOffWatch(settings)
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._off_since_ns: int | None = None
+        self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
+        self._cut_ns = 0
 
     @property
     def slack(self) -> bool:
@@ -138,11 +141,7 @@ class Observer:
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        if not (snapshot.drive_off or state is DriveState.FAULT):
-            self._off_since_ns = None
-        elif self._off_since_ns is None:
-            self._off_since_ns = now_ns
-        snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
+        self._look_at_off(now_ns, off=snapshot.drive_off or state is DriveState.FAULT)
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
         self._look_at_sinking(now_ns)
         self._look_at_drive_status(now_ns)
@@ -164,6 +163,7 @@ class Observer:
             slack=self.slack, mode=self._machine.mode,
         )  # fmt: skip
         snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
+        snapshot.runaway_mm_s = figures.runaway_mm_s
         snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
         snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
         snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.cell_step_n
@@ -226,13 +226,19 @@ class Observer:
 
     @property
     def braked(self) -> bool:
-        """The drive reports now that it is off, and has for its brake's time."""
-        return self.snapshot.drive_age_ns <= self._stale_ns and self.snapshot.off_ns >= self._brake_ns
+        """The drive reports now that it is off, and has for its brake's time, with the stroke at rest or its power cut.
+
+        Drives report an off state from the begin of their ramp on, which ends at standstill; a stroke that does not
+        come to rest needs disable voltage.
+        """
+        snapshot = self.snapshot
+        off_ns = min(snapshot.off_ns, max(snapshot.still_ns, self._cut_ns))
+        return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
 
     def look_at_load(self) -> None:
         """What carries the load, and whether a power off is confirmed, after this tick's decision."""
         snapshot, machine = self.snapshot, self._machine
-        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot)
+        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, braked=self.braked)
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,
@@ -259,6 +265,13 @@ class Observer:
         snapshot, readback = self.snapshot, self._readback
         snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
         snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
+
+    def _look_at_off(self, now_ns: int, *, off: bool) -> None:
+        """How long the drive has reported a state without power, and has been sent the words that leave it none."""
+        self._off_since_ns = _since(self._off_since_ns, now_ns, holds=off)
+        self._cut_from_ns = _since(self._cut_from_ns, now_ns, holds=self._outbox.controlword in _CUT_WORDS)
+        self.snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
+        self._cut_ns = 0 if self._cut_from_ns is None else now_ns - self._cut_from_ns
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
@@ -382,3 +395,8 @@ class Observer:
         else:
             table.forget_pass()
         return table.speed_mm_s
+
+
+def _since(since_ns: int | None, now_ns: int, *, holds: bool) -> int | None:
+    """When a condition began to hold; None while it does not."""
+    return None if not holds else now_ns if since_ns is None else since_ns

@@ -1,6 +1,7 @@
 """Whether a drive that was commanded off is without power: what shows it, or that nothing does.
 
 The command is no evidence. Neither is the drive's own state alone: a drive whose firmware has failed may report any.
+Nor is a load at rest alone, which a motor may carry.
 """
 
 from __future__ import annotations
@@ -12,9 +13,8 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import REST_S, PowerOff
 from rigctl.control.safety import Action
 from rigctl.control.snapshot import Snapshot
-from rigctl.devices.objects import NmtState
 
-REST_NS, STOPPED_REST_NS = round(REST_S * 1e9), 500_000_000  # alone, and beside a heartbeat of NMT stopped
+REST_NS = round(REST_S * 1e9)
 REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
 WAIT_NS = 5_000_000_000  # the drive's own supervision (2 s at most), then rest
 _SMOOTH_S = 0.05  # of the cell's noise
@@ -29,7 +29,6 @@ class PowerOffWatch:
     """Watches from the command on, until the fault behind it is reset."""
 
     def __init__(self, settings: RigSettings) -> None:
-        self._node = settings.cylinder.node
         self._rest_n = REST_MM * settings.plant.stiffness_n_mm
         self._slack_n = settings.tension.slack_n
         self._stale_ns = settings.safety.stale_ms * 1_000_000
@@ -42,8 +41,8 @@ class PowerOffWatch:
         """Time since the command in s."""
         return (t_ns - self._from_ns) * 1e-9
 
-    def look(self, fault: Fault, action: Action, snapshot: Snapshot) -> PowerOff:
-        """One tick with ``fault`` latched and ``action`` taken."""
+    def look(self, fault: Fault, action: Action, snapshot: Snapshot, *, braked: bool) -> PowerOff:
+        """One tick with ``fault`` latched and ``action`` taken; ``braked``: see `Observer.braked`."""
         if fault is Fault.NONE or action < Action.POWER_OFF:
             self.shown = PowerOff.NONE
             return self.shown
@@ -55,28 +54,24 @@ class PowerOffWatch:
         )  # fmt: skip
         rest_ns = self._at_rest_ns(snapshot) if seen else 0
         slack = seen and snapshot.tension_n < self._slack_n
-        shown = self._evidence(snapshot, rest_ns, slack=slack, seen=seen)
+        shown = self._evidence(snapshot, rest_ns, slack=slack, braked=braked)
         if shown is not PowerOff.AWAITED:
             self.shown = shown
         elif self.shown.confirmed:
             moves = seen and not rest_ns and not self._drive_at_rest(snapshot)
-            self.shown = PowerOff.UNCONFIRMED if moves else self.shown
+            on = not braked and self.shown is not PowerOff.INPUT
+            self.shown = PowerOff.UNCONFIRMED if moves or on else self.shown
         elif snapshot.t_ns - self._from_ns > WAIT_NS:
             self.shown = PowerOff.UNCONFIRMED
         return self.shown
 
-    def _evidence(self, snapshot: Snapshot, rest_ns: int, *, slack: bool, seen: bool) -> PowerOff:
+    def _evidence(self, snapshot: Snapshot, rest_ns: int, *, slack: bool, braked: bool) -> PowerOff:
+        """``rest_ns``: 0 where the tension says nothing; ``slack`` only where it says something."""
         if snapshot.torque_off:
             return PowerOff.INPUT
-        if seen and not slack and rest_ns >= REST_NS:
+        if braked and not slack and rest_ns >= REST_NS:
             return PowerOff.TENSION
-        stopped = (
-            snapshot.node_states.get(self._node) == NmtState.STOPPED
-            and snapshot.heartbeats_t_ns.get(self._node, 0) > self._from_ns
-        )
-        if stopped and (slack or not seen or rest_ns >= STOPPED_REST_NS):
-            return PowerOff.HEARTBEAT
-        return PowerOff.STROKE if slack and self._drive_at_rest(snapshot, REST_NS) else PowerOff.AWAITED
+        return PowerOff.STROKE if braked and slack and self._drive_at_rest(snapshot, REST_NS) else PowerOff.AWAITED
 
     def _drive_at_rest(self, snapshot: Snapshot, at_least_ns: int = 1) -> bool:
         """The drive reports a state without power, and its stroke has stood still since the command or longer."""

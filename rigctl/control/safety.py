@@ -72,6 +72,7 @@ class Row:
     sign: float = 1.0
     words: Callable[[Snapshot], str] | None = None  # text of the trip beside value and limit
     bars: Bars = Bars.AT_ONCE
+    at_once: bool = False  # a power off that does not wait for the drive's own stop
 
     @property
     def blocks_reset(self) -> bool:
@@ -81,7 +82,9 @@ class Row:
     def trip(self, value: float, snapshot: Snapshot | None = None) -> Trip:
         """The trip of this row at ``value``; its words are evaluated only where a ``snapshot`` is given."""
         text = self.words(snapshot) if self.words is not None and snapshot is not None else self.text
-        return Trip(self.fault, self.sign * float(value), self.sign * float(self.limit), self.action, text)
+        return Trip(
+            self.fault, self.sign * float(value), self.sign * float(self.limit), self.action, text, self.at_once
+        )
 
 
 _ARMED = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT})
@@ -142,6 +145,7 @@ _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
 _ELSEWHERE = "the drive has been enabled by somebody else"
 _LINGERS = "the drive does not show that it has gone off though it is commanded to"
 SPEED, POSITION = "speed", "position"  # by which the drive misses its command
+RUNAWAY, MOVES_OFF = "speed grows", "moves though off"
 _POWERED = "the stroke moves under power"
 _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
@@ -189,6 +193,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         *_io_rows(settings),
         *_status_rows(settings),
         Row(Fault.DRIVE_FAULT, FieldValue("drive_faulted"), 0, 0, _ARMED, ""),
+        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("runaway_mm_s"), SPEED_ERROR_MM_S, 0, _ARMED, "mm/s", lost, RUNAWAY,
+            at_once=True),
+        Row(Fault.DRIVE_NOT_FOLLOWING, _moves_off_mm_s, BRAKE_SLIP_MM_S, 0, _ON, "mm/s", lost, MOVES_OFF, at_once=True),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.DRIVE_REFUSES, FieldValue("drive_local"), 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
         Row(Fault.DRIVE_REFUSES, FieldValue("drive_limited"), 0, INTERNAL_LIMIT_NS, _ARMED, "", text=_LIMITS,
@@ -387,19 +394,24 @@ def _powered_mm_s(snapshot: Snapshot) -> float:
     return abs(snapshot.speed_mm_s) if snapshot.drive_powered else 0.0
 
 
+def _moves_off_mm_s(snapshot: Snapshot) -> float:
+    return abs(snapshot.speed_mm_s) if snapshot.drive_wanted and snapshot.drive_off else 0.0
+
+
 def _dropped_out(snapshot: Snapshot) -> float:
     return snapshot.drive_wanted and not snapshot.drive_enabled
 
 
 @dataclass(frozen=True)
 class Trip:
-    """A tripped row: its fault, the value found, the limit and the action."""
+    """A tripped row: its fault, the value found, the limit and the action; ``at_once``: see `Row`."""
 
     fault: Fault
     value: float
     limit: float
     action: Action = Action.HOLD
     text: str = ""
+    at_once: bool = False
 
 
 class RowReports(NamedTuple):

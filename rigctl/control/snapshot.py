@@ -106,6 +106,7 @@ class Snapshot:
     cell_nis: float = 0.0
     vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
     disturbance_mm_s: float = 0.0
+    runaway_mm_s: float = 0.0
     speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
     stroke_error_mm: float = 0.0
     contradiction_mm: float = 0.0

@@ -6,13 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 
+from hil.faults import in_device
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
@@ -20,8 +22,8 @@ from rigctl.control.tension import Gains
 WAIT_S = WAIT_NS * 1e-9
 
 
-def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING) -> None:
-    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, Action.POWER_OFF), rig.clock.now())
+def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING, action: Action = Action.POWER_OFF) -> None:
+    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, action), rig.clock.now())
 
 
 def reported(rig: Lockstep) -> list[str]:
@@ -71,7 +73,7 @@ def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
     assert without_power(rig)
     assert moves_mm(rig) < 0.01
     (line,) = reported(rig)
-    assert "confirmed by a tension at rest" in line
+    assert "confirmed by the drive's state and a tension at rest" in line
 
 
 def test_on_a_slack_rope_the_drives_own_state_and_stroke_confirm_it(rig: Lockstep) -> None:
@@ -95,6 +97,23 @@ def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep
     (line,) = reported(rig)
     assert "UNCONFIRMED" in line
     assert "emergency stop" in line
+
+
+@pytest.mark.parametrize("rig", [Mode.COMPENSATING], indirect=["rig"])
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_load_at_rest_is_no_power_off_while_the_motor_may_carry_it(rig: Lockstep, silent: bool) -> None:
+    """The firmware has failed with the motor at rest: it reports OPERATION ENABLED, or is not heard after NMT stop."""
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    rig.run(0.2)
+    rig.rig.drive.hung = True
+    rig.loop.machine.trip(
+        Trip(Fault.DRIVE_NOT_FOLLOWING, 1.0, 0.5, Action.SILENCE if silent else Action.POWER_OFF), rig.clock.now()
+    )
+    for _ in range(round((WAIT_S + 1.0) * rig.settings.loop.rate_hz)):
+        rig.tick()
+        assert not shown(rig).confirmed
+    assert rig.rig.drive.control.stage.powered
+    assert shown(rig) is PowerOff.UNCONFIRMED
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
@@ -122,6 +141,19 @@ def test_the_drives_feedback_at_the_io_node_confirms_it_at_once(fitted: Lockstep
     fitted.run(0.6)
     assert shown(fitted) is PowerOff.INPUT
     assert without_power(fitted)
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_stroke_that_goes_on_is_on_no_brake_before_its_power_is_cut(rig: Lockstep) -> None:
+    """The drive reports READY TO SWITCH ON as soon as it stops; its ramp ends at standstill, which does not come."""
+    cut(rig, Fault.CELL_STALE, Action.HOLD)
+    rig.run(0.15)
+    in_device.torque_lost(free=False)(Stand(rig, "shorted"))
+    for _ in range(1500):
+        rig.tick()
+        if rig.loop.observer.snapshot.held_by is HeldBy.BRAKE:
+            assert not rig.rig.drive.control.stage.powered
+    assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

@@ -21,6 +21,7 @@ from rigctl.control import modes, safety
 from rigctl.control.escalation import Escalator
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
+from rigctl.control.observer import Observer
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
 
@@ -28,13 +29,15 @@ pytestmark = pytest.mark.gate
 RIG = ROOT / "config/paper_rig.yaml"
 PAGE = (ROOT / "docs/faults.md").read_text()
 
+SOON_AFTER_S = 1.0
+"""So long after its seconds a row is watched here: `python -m hil faults` does so for its 20 s."""
 WHOLE: list[InjectedFault | processes.ProcessFault] = [*CATALOGUE, *processes.CATALOGUE]
 
 
 def new_bench() -> Bench:
     """A bench whose loops have the tables of now."""
     settings = config.load(RIG)
-    return Bench(settings, design_and_check(settings).gains)
+    return Bench(settings, design_and_check(settings).gains, most_after_s=SOON_AFTER_S)
 
 
 @pytest.fixture(scope="module")
@@ -123,6 +126,20 @@ def test_the_page_has_every_fault_as_the_table_has_it() -> None:
         ("rpdo_frozen", Mode.HOLD),
         ("sync_unheard_while_opening", Mode.DISARMED),
         ("drive_frozen_while_enabling", Mode.DISARMED),
+        ("sync_twice", Mode.COMPENSATING),
+        ("foreign_sync_id", Mode.TENSIONING),
+        ("lost_polarity", Mode.COMPENSATING),
+        ("rpdo_ignored", Mode.RELEASING),
+        ("rpdo_late", Mode.TENSIONING),
+        ("controlword_slow_stop", Mode.TENSIONING),
+        ("switched_on_persists", Mode.HOLD),
+        ("enabling_refused", Mode.HOLD),
+        ("drive_boots", Mode.COMPENSATING),
+        ("drive_refuses_start_while_opening", Mode.DISARMED),
+        ("drive_back_in_error", Mode.TENSIONING),
+        ("torque_late", Mode.HOLD),
+        ("torque_lost", Mode.FAULT),
+        ("torque_lost_free", Mode.COMPENSATING),
     ],
 )
 def test_it_comes_to_what_is_expected(bench: Bench, name: str, mode: Mode) -> None:
@@ -159,6 +176,21 @@ def test_a_safety_table_without_a_row_makes_rows_fail(
     whole = safety.table
     monkeypatch.setattr(safety, "table", lambda s: tuple(r for r in whole(s) if r.fault is not fault))
     assert row(new_bench(), name, mode).findings
+
+
+def test_a_rig_that_shows_the_power_off_while_the_motor_has_it_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the drive's state alone: it reports READY TO SWITCH ON from the begin of a ramp that does not end."""
+    by_state = property(lambda observer: observer.snapshot.off_ns >= observer._brake_ns)
+    monkeypatch.setattr(Observer, "braked", by_state)
+    found = row(new_bench(), "torque_lost", Mode.FAULT)
+    assert any(text.startswith("power off shown") for text in found.findings)
+
+
+def test_a_rig_that_cuts_the_power_of_a_runaway_late_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    whole = safety.table
+    monkeypatch.setattr(safety, "table", lambda s: tuple(r for r in whole(s) if not r.at_once))
+    found = row(new_bench(), "torque_lost_free", Mode.COMPENSATING)
+    assert any(text.startswith("tension") for text in found.findings)
 
 
 @pytest.mark.parametrize(("escalates", "reaction"), [(True, Reaction.DRIVE_OFF), (False, Reaction.LEFT)])

@@ -329,6 +329,18 @@ def test_a_ramp_down_is_a_hold_where_there_is_nothing_to_ramp(slack: bool) -> No
     assert (machine.mode, machine.action) == (Mode.FAULT, Action.HOLD)
 
 
+def test_a_power_off_at_once_does_not_wait_for_a_stop_even_of_one_under_way() -> None:
+    enabled = {"drive_enabled": True, "drive_faulted": False}
+    at_once = Trip(Fault.DRIVE_NOT_FOLLOWING, 9.0, 2.5, Action.POWER_OFF, at_once=True)
+    for before in (None, Action.QUICK_STOP, Action.POWER_OFF):
+        machine = compensating()
+        if before is not None:
+            machine.trip(Trip(Fault.LIMIT, 9.0, 8.0, before), 10)
+            assert machine.power(20, **enabled) is Power.QUICK_STOP
+        machine.trip(at_once, 20)
+        assert machine.power(20, **enabled) is Power.CUT
+
+
 def test_an_action_grows_stronger_but_never_weaker_while_the_fault_stands() -> None:
     machine = compensating()
     enabled = {"drive_enabled": True, "drive_faulted": False}

@@ -59,6 +59,15 @@ class Stand:
         )
 
 
+def runaway_mm_s(seen: list[Plausibility]) -> float:
+    return max(one.runaway_mm_s for one in seen)
+
+
+def turned_back(t: float) -> float:
+    """Speed in mm/s of 300 N that a speed controller of 27 Hz on 80 kg takes over: 16 mm/s at most."""
+    return -300.0 / 80e-3 * t * math.exp(-84.8 * t)
+
+
 def as_commanded(lag_s: float = LAG, delay: int = DELAY, level: float = 10.0) -> tuple[Signal, Signal, Signal]:
     """Stroke, speed and command of a step of speed through a drive of this lag, ``delay`` in ticks."""
 
@@ -221,3 +230,34 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
         stand.look(command((n - 1) * DT), ticks)
         assert abs(stand.subject.stroke_error_mm) < 0.05
         assert silent > 0 or stand.subject.speed_error_mm_s < 0.6
+
+
+# -- a motor that the load turns -------------------------------------------------------------------------------------
+@pytest.mark.parametrize("level", [10.0, -10.0])
+def test_a_speed_that_follows_its_command_late_or_beyond_it_is_no_runaway(level: float) -> None:
+    stand = Stand()
+    stroke, speed, command = as_commanded(1.5 * LAG, DELAY + 2, level)
+    assert runaway_mm_s(stand.run(0.5, lambda _: 300.0, stroke, speed, command)) == 0.0
+    back = stand.run(0.5, lambda _: 300.0, speed=lambda t: 1.2 * level * math.exp(-t / (1.5 * LAG)))
+    assert runaway_mm_s(back) == 0.0
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_speed_that_grows_beyond_its_command_is_one_within_three_samples(way: float) -> None:
+    stand = Stand()
+    stand.run(0.2, lambda _: 300.0)
+    seen = stand.run(0.01, lambda _: 300.0, speed=lambda t: 4800.0 * way * t)
+    assert [one.runaway_mm_s > 2.5 for one in seen[:4]] == [False, False, True, True]
+
+
+def test_only_while_the_motor_takes_a_load_from_the_brake_may_the_load_turn_it_back() -> None:
+    stand = Stand()
+    assert runaway_mm_s(stand.run(0.05, lambda _: 300.0, speed=turned_back)) < 2.5
+    stand.run(0.2, lambda _: 300.0)
+    assert runaway_mm_s(stand.run(0.05, lambda _: 300.0, speed=turned_back)) > 2.5
+
+
+@pytest.mark.parametrize("count_mm_s", [1.0, 5.0])
+def test_a_count_of_a_coarse_encoder_that_toggles_is_no_runaway(count_mm_s: float) -> None:
+    toggles = itertools.cycle((0.0, count_mm_s, 0.0, -count_mm_s, -count_mm_s, count_mm_s))
+    assert runaway_mm_s(Stand().run(0.3, lambda _: 300.0, speed=lambda _: next(toggles))) == 0.0

@@ -61,7 +61,7 @@ def test_a_confirmed_power_off_says_by_what() -> None:
     found = view(state(Mode.FAULT, held_by="BRAKE", fault="CELL_STALE", causes=[STALE], power_off="TENSION"))
     assert found.entry == LOCK_OUT_FIRST
     assert found.steps[-2].text == "See that the hall is empty; take the lock-out off."  # who went in comes out again
-    assert "confirmed by a tension at rest" in found.does
+    assert "a tension at rest" in found.does
 
 
 def test_a_cause_that_blocks_a_reset_is_named_with_value_limit_and_remedy() -> None:
