@@ -7,7 +7,6 @@ time-out), and the limit of a wait is read from the clock that was passed in.
 
 from __future__ import annotations
 
-import pathlib
 from collections.abc import Callable
 
 import can
@@ -51,13 +50,9 @@ class StartupBus:
                 return heard()
         return True
 
-    def add(self, node: int, eds: pathlib.Path, answer_s: float) -> canopen.RemoteNode:
-        """A device, which answers a request within ``answer_s``.
-
-        Raises:
-            OSError, ValueError: the EDS file cannot be read.
-        """
-        remote: canopen.RemoteNode = self.network.add_node(_RemoteNode(node, str(eds), self))
+    def add(self, node: int, answer_s: float) -> canopen.RemoteNode:
+        """A device, which answers a request within ``answer_s``."""
+        remote: canopen.RemoteNode = self.network.add_node(_RemoteNode(node, self))
         remote.sdo.RESPONSE_TIMEOUT = answer_s
         self.network.subscribe(HEARTBEAT_BASE + node, self._on_heartbeat)
         return remote
@@ -85,9 +80,9 @@ class _SdoClient(SdoClient):  # type: ignore[misc]  # canopen has no types
 class _RemoteNode(canopen.RemoteNode):  # type: ignore[misc]  # canopen has no types
     """canopen's node with such a client."""
 
-    def __init__(self, node: int, eds: str, startup_bus: StartupBus) -> None:
+    def __init__(self, node: int, startup_bus: StartupBus) -> None:
         self.startup_bus = startup_bus
-        super().__init__(node, eds)
+        super().__init__(node, canopen.ObjectDictionary())  # types and names: rigctl.devices.eds_file
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> _SdoClient:
         """The client that canopen's constructor asks for, before the node has a network."""

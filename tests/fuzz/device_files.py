@@ -25,10 +25,12 @@ from rigctl.devices.eds_file import EdsError
 from rigctl.devices.remote_node import StartupError
 from rigctl.devices.startup import StartupReport
 from tests.builders.paths import ROOT
+from tests.builders.rig_bench import changed
 from tests.builders.rig_on_hub import RigOnHub
 from tests.fuzz import dbc_mutants, eds_mutants
 from tests.fuzz.judge import Tally
 
+_PER_MM = 209_715.2  # of the stock drive: by its feed constant as by encoder and gear
 _PAYLOADS = 20
 _RELATIVE = 1e-9  # between our decoder and cantools, which multiplies in another order
 
@@ -37,15 +39,13 @@ def play_eds(count: int, seed: int, tally: Tally) -> None:
     """``count`` mutants of the EDS files of the paper's rig and of a stock drive, each checked and started."""
     chance = random.Random(seed)
     paper = config.load(ROOT / "config/paper_rig.yaml")
-    stock = paper.model_copy(
-        update={
-            "cylinder": paper.cylinder.model_copy(
-                update={
-                    "eds": "eds/stock_drive.eds", "velocity_object": 0x606C, "velocity_pdo": 3, "lead_mm": 5.0,
-                    "temperature_object": None,
-                }
-            )
-        }
+    stock = changed(
+        paper,
+        cylinder={
+            "eds": "eds/stock_drive.eds", "velocity_object": 0x606C, "velocity_pdo": 3, "temperature_object": None,
+            "lead_mm": 5.0, "increments_per_mm": _PER_MM,
+        },
+        simulation={"drive": {"increments_per_mm": _PER_MM}},
     )  # fmt: skip
     wanted = {id(rig): RigOnHub(rig).bring_up() for rig in (paper, stock)}
     with tempfile.TemporaryDirectory(prefix="rigctl-fuzz-", dir="/dev/shm") as folder:
@@ -54,9 +54,9 @@ def play_eds(count: int, seed: int, tally: Tally) -> None:
                                          (stock, "cylinder")))  # fmt: skip
             change = eds_mutants.CHANGES[i % len(eds_mutants.CHANGES)]
             section = getattr(rig, device)
-            changed = change(eds_mutants.sections(rig.file(section.eds).read_text()), chance)
+            text = change(eds_mutants.sections(rig.file(section.eds).read_text()), chance)
             file = pathlib.Path(folder) / f"mutant_{i}.eds"
-            file.write_bytes(changed if isinstance(changed, bytes) else eds_mutants.joined(changed).encode())
+            file.write_bytes(text if isinstance(text, bytes) else eds_mutants.joined(text).encode())
             mutant = rig.model_copy(update={device: section.model_copy(update={"eds": str(file)})})
             _judge_eds(f"EDS: {change.__name__[1:]}", f" ({device}, mutant {i})", rig, mutant, wanted[id(rig)], tally)
 
@@ -77,10 +77,11 @@ def _judge_eds(
         return
     if report.process_data != wanted.process_data:
         tally.wrong.append(f"{name}{which}: other process data: {report.process_data}")
-    known = {(item.node, item.index, item.sub): (item.size, item.wanted) for item in wanted.watched}
+    devices = {node.id: node.device for node in served.rig.nodes}
     for item in report.watched:
-        if known.get((item.node, item.index, item.sub)) != (item.size, item.wanted):
-            tally.wrong.append(f"{name}{which}: another value: {item}")
+        data = devices[item.node].get_data(item.index, item.sub)
+        if (len(data), int.from_bytes(data, "little")) != (item.size, item.wanted):
+            tally.wrong.append(f"{name}{which}: {item}, and the device has {data.hex(' ')}")
 
 
 def play_dbc(count: int, seed: int, tally: Tally) -> None:
@@ -94,8 +95,8 @@ def play_dbc(count: int, seed: int, tally: Tally) -> None:
         text = file.read_text()
         for i in range(count):
             kind = kinds[i % len(kinds)]
-            changed = dbc_mutants.CHANGES[kind](text, chance)
-            file.write_bytes(changed if isinstance(changed, bytes) else changed.encode())
+            mutant = dbc_mutants.CHANGES[kind](text, chance)
+            file.write_bytes(mutant if isinstance(mutant, bytes) else mutant.encode())
             _judge_dbc(f"DBC: {kind}", rig, file, chance, tally)
 
 
