@@ -6,6 +6,7 @@ Imported only for a rig file with a ``dbc`` section, because cantools is slow to
 from __future__ import annotations
 
 import contextlib
+import logging
 import math
 import pathlib
 from collections.abc import Collection, Iterator
@@ -13,7 +14,7 @@ from typing import Any
 
 import cantools
 
-from rigctl.config import canopen
+from rigctl.config import canopen, input_file
 from rigctl.config.one_line import on_one_line
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
 from rigctl.config.sensor_sections import DbcSettings, PlainMessages
@@ -31,7 +32,11 @@ _WATCHED = {
 }
 """What of a limit's signals comes in a plain frame: device, signal, and the limit's unit."""
 _LARGEST_FRAME = 8
+_LARGEST_BYTES = 64 << 20  # a car maker's whole network has 10 MiB
 _NAMES_SHOWN = 8
+logging.getLogger("cantools").addHandler(
+    logging.NullHandler()
+)  # it reports two messages of a name, which we may not use
 
 
 class DbcError(ValueError):
@@ -165,7 +170,8 @@ def _read(device: str, dbc: DbcSettings, file: pathlib.Path) -> list[Any]:
     if not file.is_file():
         raise DbcError(key, f"no file {dbc.file}", "a DBC file")
     try:
-        return list(cantools.database.load_file(str(file), database_format="dbc").messages)
+        text = input_file.text(input_file.read(file, largest=_LARGEST_BYTES, links=True))
+        return list(cantools.database.load_string(text, database_format="dbc").messages)
     except (OSError, ValueError, cantools.database.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
         raise DbcError(key, f"{dbc.file}, which cannot be read ({on_one_line(reason)})", "a DBC file") from None

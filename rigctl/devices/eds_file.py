@@ -7,7 +7,6 @@ be that of the profile.
 
 from __future__ import annotations
 
-import codecs
 import re
 import struct
 from collections.abc import Mapping
@@ -95,7 +94,7 @@ def read(settings: RigSettings, section: str) -> Mapping[tuple[int, int], EdsObj
         data = input_file.read(path, largest=LARGEST_BYTES, links=True)
     except OSError as error:
         raise EdsError(f"{path}: cannot be read: {error.strerror}") from None
-    sections = _sections(_decoded(data))
+    sections = _sections(input_file.text(data))
     if not sections:
         raise EdsError(f"{path}: found no objects, expected an EDS file as in CiA 306")
     try:
@@ -143,16 +142,6 @@ def type_name(code: str) -> str:
 
 def _listed(items: list[str], mark: str = ", ") -> str:
     return mark.join(items[:_SHOWN]) + (f"{mark}and {len(items) - _SHOWN} more" if len(items) > _SHOWN else "")
-
-
-def _decoded(data: bytes) -> str:
-    """The text, in UTF-8 or UTF-16 by its mark, else in Windows' western code page, which most vendors write."""
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        return data.decode("utf-16", errors="replace")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("cp1252", errors="replace")
 
 
 def _sections(text: str) -> Sections:

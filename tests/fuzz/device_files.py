@@ -6,6 +6,7 @@ files, so a file that is passed must bring the same rig up with the same values.
 
 from __future__ import annotations
 
+import codecs
 import logging
 import math
 import pathlib
@@ -104,7 +105,8 @@ def _judge_dbc(name: str, rig: pathlib.Path, file: pathlib.Path, chance: random.
     found = tally.attempt(name, file.read_bytes()[:300], lambda: config.load(rig), (ConfigError,), line=False)
     if not isinstance(found, RigSettings):
         return
-    database = cantools.database.load_file(str(file), database_format="dbc")
+    encoding = "utf-16" if file.read_bytes().startswith(codecs.BOM_UTF16_LE) else "utf-8-sig"
+    database = cantools.database.load_file(str(file), database_format="dbc", encoding=encoding)
     cell, slope = found.plain_messages["tension_cell"], found.plain_messages["inclinometer"]
     decoders = {"tension_cell": dbc.tension_decoder(cell), "inclinometer": dbc.inclination_decoder(slope)}
     for device, message in found.plain_messages.items():

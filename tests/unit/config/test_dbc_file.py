@@ -264,6 +264,23 @@ def test_a_float_passes_every_limit(write: Write) -> None:
     assert config.load(write(RIG, text)).plain_messages["tension_cell"].signals["tension"].floating
 
 
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_the_files_of_every_editor_are_read(write: Write, encoding: str) -> None:
+    file = write(RIG, DBC)
+    (file.parent / "plain_sensors.dbc").write_bytes(
+        DBC.replace('CM_ "Two', 'CM_ "Prüfstand, 1 °, two').encode(encoding)
+    )
+    assert config.load(file).plain_messages["tension_cell"].name == "Tension"
+
+
+def test_what_cantools_has_to_say_of_messages_that_we_do_not_use_is_not_printed(write: Write) -> None:
+    twice = "".join(f"\nBO_ {id_} Other: 8 TensionCell\n" for id_ in (500, 501))
+    code = "import sys; from rigctl.config import rig_file; rig_file.load(sys.argv[1])"
+    file = write(RIG, DBC + twice)
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 def test_can_fd_is_refused_whatever_its_length(write: Write) -> None:
     frame_format = (
         'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved",'
