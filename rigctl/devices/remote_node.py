@@ -8,6 +8,7 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import TypeVar
 
 import canopen
 
@@ -21,6 +22,9 @@ from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
+_TRIES = 3
+"""Requests to a device that has answered before, until it counts as silent."""
+_Value = TypeVar("_Value")
 _MOST_SEGMENTS = 4  # no object read here needs more than one
 _ASK_AGAIN_S = 0.05
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen raises these on short frames and wrong sizes
@@ -97,19 +101,22 @@ class RemoteNode:
         """Whether an object that is optional in its profile is in the device's EDS file."""
         return (index, sub) in self._objects
 
-    def read(self, index: int, sub: int = 0) -> int:
-        """Value of an object."""
-        try:
-            with self._errors_named(index, sub):
-                return self._upload(self._objects[index, sub])
-        except SilentError:
-            raise SilentError(
-                f"{self.name} (node {self.id}) does not answer on {self._channel} within "
-                f"{self._device.sdo_timeout_ms} ms ({self._section}.sdo_timeout_ms): is the rig on and connected?"
-            ) from None
+    def read(self, index: int, sub: int = 0, *, tries: int = _TRIES) -> int:
+        """Value of an object; a request without an answer is repeated."""
+        with self._errors_named(index, sub, tries=tries):
+            return self._repeated(lambda: self._upload(self._objects[index, sub]), tries)
+
+    def _repeated(self, transfer: Callable[[], _Value], tries: int = _TRIES) -> _Value:
+        """Result of a transfer, which is repeated where no answer comes: one lost frame is no silent device."""
+        for _ in range(tries - 1):
+            with contextlib.suppress(canopen.SdoCommunicationError):
+                return transfer()
+        return transfer()
 
     @contextlib.contextmanager
-    def _errors_named(self, index: int, sub: int, refused: str = "cannot be read") -> Iterator[None]:
+    def _errors_named(
+        self, index: int, sub: int, refused: str = "cannot be read", tries: int = _TRIES
+    ) -> Iterator[None]:
         """A transfer of an object, whose errors name device and object; ``refused``: what an abort means.
 
         Raises:
@@ -124,7 +131,11 @@ class RemoteNode:
         except _GARBLED:
             raise StartupError(f"{where}: answered with what is no SDO answer on {self._channel}") from None
         except canopen.SdoCommunicationError:
-            raise SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}") from None
+            asked = f", asked {tries} times for {where.partition(', ')[2]}" if tries > 1 else ""
+            raise SilentError(
+                f"{self.name} (node {self.id}) does not answer on {self._channel} within {self._device.sdo_timeout_ms} "
+                f"ms ({self._section}.sdo_timeout_ms){asked}: is the rig on and connected?"
+            ) from None
         except KeyError:
             raise StartupError(f"{where}: not in its EDS file") from None
 
@@ -154,13 +165,18 @@ class RemoteNode:
         return value
 
     def _download(self, value: int, item: EdsObject) -> None:
+        """Write an object; a request without an answer is repeated.
+
+        Raises:
+            StartupError: the object's type cannot hold the value.
+        """
         try:
             data = struct.pack("<" + item.code, value)
         except struct.error:
             raise StartupError(
                 f"{self.where(item.index, item.sub)}: {value} does not fit into it, it is {item.type_name}"
             ) from None
-        self.remote.sdo.download(item.index, item.sub, data)
+        self._repeated(lambda: self.remote.sdo.download(item.index, item.sub, data))
 
     def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
         """Write an object and read it back."""
@@ -199,7 +215,7 @@ class RemoteNode:
             except canopen.SdoAbortedError as error:
                 why = f"refused: {error}"
             try:
-                found = StopSetting(name, what, wanted, self._upload(item), why)
+                found = StopSetting(name, what, wanted, self._repeated(lambda: self._upload(item)), why)
             except canopen.SdoAbortedError as error:
                 return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
         if found.ok:
@@ -223,7 +239,7 @@ class RemoteNode:
         waited = False
         while True:
             try:
-                self.read(index)
+                self.read(index, tries=1)
             except SilentError:
                 left_s = (until_ns - self._bus.now_ns()) * 1e-9
                 if left_s <= 0 or ends():
@@ -238,8 +254,8 @@ class RemoteNode:
 
     def await_boot(self, until_ns: int, say: Callable[[str], None]) -> None:
         """Wait until the device answers, at most until ``until_ns``; see `await_answer`."""
-        if self.await_answer(od.DEVICE_TYPE, until_ns, say):
-            self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted missed the first command
+        self.await_answer(od.DEVICE_TYPE, until_ns, say)
+        self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted, or lost a frame, missed the first
 
     def error(self) -> str:
         """The error that the device reports now, in words; "": none."""
