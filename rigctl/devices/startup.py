@@ -141,7 +141,7 @@ def bring_up(
         raise StartupError(f"{channel}: {bus_words(error, settings)}") from None
 
 
-def bus_words(error: can.CanError, settings: RigSettings) -> str:
+def bus_words(error: Exception, settings: RigSettings) -> str:
     """What a bus reports, on one line and without the name of the interface that some backends put before it."""
     words = " ".join(str(error).split())
     for name in (f"{settings.can.interface}:{settings.can.channel}", settings.can.channel):
