@@ -76,7 +76,7 @@ def show(settings: RigSettings, console: Console) -> None:
     rig.add_column("value", overflow="fold", min_width=NARROWEST_VALUE)
     if not narrow:
         rig.add_column("unit", no_wrap=True)
-        rig.add_column("meaning")
+        rig.add_column("meaning", overflow="fold")
     for section in type(settings).model_fields:
         value = getattr(settings, section)
         if section == "plain":

@@ -80,7 +80,7 @@ def _show(state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], lock_ou
 
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim", no_wrap=True)
-    table.add_column()
+    table.add_column(overflow="fold")
     table.add_row("rig", Text(f"{state['rig']} at {endpoint}"))
     for label, value, style in rows(state, alarms, time.time_ns(), lock_out):
         table.add_row(label, Text(value, style))

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import difflib
+
 from pydantic import Field, model_validator
 
+from rigctl.config.one_line import on_one_line
 from rigctl.config.settings_base import NodeId, Settings, require
+
+_OWN = frozenset({"socketcan", "rigsim"})
 
 
 class CanSettings(Settings):
@@ -24,3 +29,17 @@ class CanSettings(Settings):
         known = self.bitrate_bit_s is not None or self.interface == "rigsim"
         require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
         return self
+
+
+def unknown_interface(can: CanSettings) -> str | None:
+    """Why python-can has no such interface, in words; None: it has it."""
+    if can.interface in _OWN:
+        return None
+    from can import VALID_INTERFACES  # python-can takes 0.2 s to import
+
+    known = sorted(VALID_INTERFACES)
+    if can.interface in known:
+        return None
+    near = difflib.get_close_matches(can.interface, known, n=1)
+    hint = f" ({near[0]}?)" if near else ""
+    return f"found {on_one_line(can.interface)}{hint}, expected an interface of python-can: {', '.join(known)}"

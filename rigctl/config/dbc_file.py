@@ -5,14 +5,16 @@ Imported only for a rig file with a ``dbc`` section, because cantools is slow to
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import math
 import pathlib
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 import cantools
 
-from rigctl.config import canopen
+from rigctl.config import canopen, input_file
 from rigctl.config.one_line import on_one_line
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
 from rigctl.config.sensor_sections import DbcSettings, PlainMessages
@@ -23,8 +25,18 @@ _ANGLE = {"deg": math.radians(1.0), "rad": 1.0}
 UNITS = {"tension_cell": {"tension": _TENSION}, "inclinometer": {"tangential": _ANGLE, "normal": _ANGLE}}
 """Signals each device must have, with the factor to N or rad by the unit in the DBC file."""
 
+_WATCHED = {
+    "tension_n": ("tension_cell", "tension", "N"),
+    "tangential_deg": ("inclinometer", "tangential", "deg"),
+    "normal_deg": ("inclinometer", "normal", "deg"),
+}
+"""What of a limit's signals comes in a plain frame: device, signal, and the limit's unit."""
 _LARGEST_FRAME = 8
+_LARGEST_BYTES = 64 << 20  # a car maker's whole network has 10 MiB
 _NAMES_SHOWN = 8
+logging.getLogger("cantools").addHandler(
+    logging.NullHandler()
+)  # it reports two messages of a name, which we may not use
 
 
 class DbcError(ValueError):
@@ -60,7 +72,43 @@ def messages(settings: RigSettings) -> PlainMessages:
         if limit_ms < two_ms:
             allowed = f"two cycles of {device}'s message ({two_ms} ms) or more"
             raise DbcError(("safety", stale_ms[device]), str(limit_ms), allowed)
-    return PlainMessages(**found)
+    reached = PlainMessages(**found)
+    if settings.safety.waiver is None:
+        _refuse_unreached(settings, reached)
+    return reached
+
+
+def _refuse_unreached(settings: RigSettings, found: PlainMessages) -> None:
+    """Refuse a signal that ends within a limit that acts on it: the limit could never trip.
+
+    Raises:
+        DbcError: the first such signal.
+    """
+    for device, role, unit, low, high, bound in _bounds(settings):
+        message: PlainMessage | None = getattr(found, device)
+        if message is None:
+            continue
+        signal, si = message.signals[role], UNITS[device][role][unit]
+        begins, ends = signal.least / si, signal.most / si
+        for reaches, words, limit, name in (
+            (low is None or begins < low, f"begin at {begins:.6g}", low, f"{bound}low"),
+            (high is None or ends > high, f"end at {ends:.6g}", high, f"{bound}high"),
+        ):
+            if not reaches:
+                what = name if device != "tension_cell" or bound else f"safety.tension_{name}_n"
+                raise DbcError(
+                    (device, "dbc", role),
+                    f"{signal.name}, whose values {words} {unit}",
+                    f"one that passes {limit:g} ({what}), which could never trip",
+                )
+
+
+def _bounds(settings: RigSettings) -> Iterator[tuple[str, str, str, float | None, float | None, str]]:
+    """Device, signal and unit of each limit that acts, its ends, and where in the rig file they are; "": safety."""
+    yield "tension_cell", "tension", "N", settings.safety.tension_low_n, settings.safety.tension_high_n, ""
+    for place, row in enumerate(settings.limits):
+        if row.signal in _WATCHED and row.action != "log":
+            yield *_WATCHED[row.signal], row.low, row.high, f"limits.{place}."
 
 
 def _canopen_ids(settings: RigSettings) -> dict[int, str]:
@@ -122,7 +170,8 @@ def _read(device: str, dbc: DbcSettings, file: pathlib.Path) -> list[Any]:
     if not file.is_file():
         raise DbcError(key, f"no file {dbc.file}", "a DBC file")
     try:
-        return list(cantools.database.load_file(str(file), database_format="dbc").messages)
+        text = input_file.text(input_file.read(file, largest=_LARGEST_BYTES, links=True))
+        return list(cantools.database.load_string(text, database_format="dbc").messages)
     except (OSError, ValueError, cantools.database.Error) as error:
         reason = error.strerror if isinstance(error, OSError) and error.strerror else " ".join(str(error).split())
         raise DbcError(key, f"{dbc.file}, which cannot be read ({on_one_line(reason)})", "a DBC file") from None
@@ -155,6 +204,7 @@ def signal_layout(key: tuple[str, ...], message: Any, name: str, units: dict[str
         floating=bool(signal.is_float),
         scale=_finite(key, "scale", signal.scale, factor, zero=False),
         offset=_finite(key, "offset", signal.offset, factor, zero=True),
+        **_declared(signal, factor),
     )
 
 
@@ -167,6 +217,18 @@ def _finite(key: tuple[str, ...], what: str, number: float, factor: float, *, ze
     if not math.isfinite(scaled) or (scaled == 0.0 and not zero):
         raise DbcError(key, f"{what} {scaled:g}", f"a finite {what}" + ("" if zero else ", not 0"))
     return scaled
+
+
+def _declared(signal: Any, factor: float) -> dict[str, float]:
+    """The range that the file gives the signal, in N or rad; empty where it gives none, or one that is no range."""
+    if signal.minimum is None or signal.maximum is None or not signal.minimum < signal.maximum:
+        return {}
+    found = {}
+    for key, end in (("declared_least", signal.minimum), ("declared_most", signal.maximum)):
+        with contextlib.suppress(OverflowError):  # an integer of hundreds of digits
+            if math.isfinite(number := float(end) * factor):
+                found[key] = number
+    return found
 
 
 def _one_of(names: Collection[str]) -> str:

@@ -6,6 +6,7 @@ followed or loaded.
 
 from __future__ import annotations
 
+import codecs
 import errno
 import os
 import pathlib
@@ -36,6 +37,16 @@ def read(path: pathlib.Path, *, largest: int = LARGEST_BYTES, links: bool = Fals
         return b"".join(parts)
     finally:
         os.close(fd)
+
+
+def text(data: bytes) -> str:
+    """Text in UTF-8, in UTF-16 by its mark, or in Windows' western code page, which most vendors' tools write."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return data.decode("utf-16", errors="replace")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252", errors="replace")
 
 
 def decoded(data: bytes, kind: Any = Any) -> Any:

@@ -7,6 +7,7 @@ crosses to the other processes with the settings; bit numbers are those of the D
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Mapping
 from typing import Annotated
@@ -36,6 +37,9 @@ class PlainSignal(_Layout):
     floating: bool
     scale: float
     offset: float
+    declared_least: float | None = None
+    declared_most: float | None = None
+    """Range of the values by the DBC file; None: it gives none."""
 
     def shift(self, size: int) -> int:
         """Right shift that brings the signal to bit 0, in ``size`` bytes read as one integer of its byte order."""
@@ -50,6 +54,24 @@ class PlainSignal(_Layout):
         if self.signed:
             return -(1 << self.length - 1), (1 << self.length - 1) - 1
         return 0, (1 << self.length) - 1
+
+    @property
+    def least(self) -> float:
+        """Lowest value that a frame carries, by the signal's bits and by the range that its file gives."""
+        return max(min(self._ends), -math.inf if self.declared_least is None else self.declared_least)
+
+    @property
+    def most(self) -> float:
+        """Highest such value."""
+        return min(max(self._ends), math.inf if self.declared_most is None else self.declared_most)
+
+    @property
+    def _ends(self) -> tuple[float, float]:
+        """The values of both ends of the raw range."""
+        if self.floating:
+            return -math.inf, math.inf
+        low, high = self.raw_limits
+        return low * self.scale + self.offset, high * self.scale + self.offset
 
     def raw_bits(self, value: float) -> int:
         """``value`` as the signal's bits; an integer signal saturates at its limits."""

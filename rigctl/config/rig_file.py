@@ -7,7 +7,7 @@ import sys
 
 from pydantic import ValidationError
 
-from rigctl.config import strict_yaml
+from rigctl.config import can_section, strict_yaml
 from rigctl.config.bounds import as_study
 from rigctl.config.one_line import printable
 from rigctl.config.settings import ADDED, RigSettings
@@ -59,6 +59,8 @@ def load(path: str | pathlib.Path, *, study: bool = False) -> RigSettings:
         settings = RigSettings.model_validate({**data, "directory": str(file.resolve().parent)})
     except ValidationError as error:
         raise ConfigError(Wording(RigSettings, ADDED, document, file).lines(error)) from None
+    if (why := can_section.unknown_interface(settings.can)) is not None:
+        raise ConfigError([f"{file}:{document.line_of(('can', 'interface'))}: can.interface: {why}"])
     for name in settings.canopen_nodes:
         eds = getattr(settings, name).eds
         if not settings.file(eds).is_file():

@@ -118,7 +118,8 @@ class KeyType(NamedTuple):
             text += f" matching {bounds['pattern']}"
         if "min_length" in bounds:
             unit = "characters" if self.choices[0] is str else "items"
-            text += f" of at least {bounds['min_length']} {unit}"
+            most = f"{bounds['min_length']} to {bounds['max_length']}" if "max_length" in bounds else ""
+            text += f" of {most or 'at least ' + str(bounds['min_length'])} {unit}"
         return text
 
     def _bare(self) -> KeyType:

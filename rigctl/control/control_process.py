@@ -33,7 +33,7 @@ from rigctl.devices import startup
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.hold_socket import give, socket_name
 from rigctl.ipc.ledger import in_force
-from rigctl.ipc.runtime_folder import FolderError, Runtime
+from rigctl.ipc.runtime_folder import REFUSED, FolderError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 
 WARM_UP_TICKS = 50
@@ -64,7 +64,7 @@ def open_bus(settings: RigSettings) -> can.BusABC:
             interface=settings.can.interface, channel=settings.can.channel, bitrate=settings.can.bitrate_bit_s
         )
     except (can.CanError, OSError, ValueError, NotImplementedError) as error:
-        raise startup.StartupError(f"{where} cannot be opened: {' '.join(str(error).split())}") from None
+        raise startup.StartupError(f"{where} cannot be opened: {startup.bus_words(error, settings)}") from None
 
 
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
@@ -122,6 +122,28 @@ def _say(line: str) -> None:
     sys.stderr.flush()
 
 
+def _brought_up(settings: RigSettings, clock: GridClock) -> tuple[can.BusABC, startup.StartupReport]:
+    """The bus, with the devices up.
+
+    Raises:
+        StartupError: they are not, and the bus is closed.
+    """
+    bus = open_bus(settings)
+    try:
+        return bus, startup.bring_up(bus, settings, clock.now, _say)
+    except BaseException:
+        bus.shutdown()
+        raise
+
+
+def _refuse(runtime: Runtime, why: str) -> None:
+    """Leave the reason to the supervisor, which puts it on the terminal and on record."""
+    try:
+        runtime.write_json(REFUSED, {"why": why})
+    except OSError:
+        _say(why)
+
+
 def run(directory: str) -> int:
     """Body of the process; returns its exit code."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -136,15 +158,15 @@ def run(directory: str) -> int:
     except (OSError, msgspec.MsgspecError, ValidationError):
         sys.stderr.write("rigctl: control: active.json holds no valid settings\n")
         return EXIT_CANNOT_START
+    clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
     try:
-        bus = open_bus(settings)
-        clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
-        report = startup.bring_up(bus, settings, clock.now, _say)
+        bus, report = _brought_up(settings, clock)
     except startup.StartupError as error:
-        sys.stderr.write(f"rigctl: {error}\n")
+        _refuse(runtime, str(error))
         return EXIT_CANNOT_START
     line = sys.stdin.readline()
     if not line:
+        bus.shutdown()
         return EXIT_CANNOT_START  # the supervisor has ended or refused the design
     gains = msgspec.json.decode(line, type=ScheduledGains)
     warm_up(settings, gains, runtime, report.process_data)

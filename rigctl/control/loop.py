@@ -320,8 +320,8 @@ class Loop:
         word, preload_n = next_controlword(state, power), self._preload.look(snapshot)
         outbox.command(word, speed_mm_s, self._clock.now(), preload_n, enable=self._enable(power))
         request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
-        if request is not None:
-            outbox.request(*request)
+        if request is not None and not outbox.request(*request):
+            self.readback.unsent()
         if t_ns >= self._start_again_ns:
             self._start_again(t_ns)
 

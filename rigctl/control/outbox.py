@@ -85,9 +85,9 @@ class Outbox:
         """NMT start; after `command`, as an SDO request."""
         self._send(od.NMT_COB, bytes([od.NMT_START, node]))
 
-    def request(self, node: int, request: bytes) -> None:
-        """Send an SDO request; after `command`, because cyclic frames go first."""
-        self._send(od.SDO_RX_BASE + node, request)
+    def request(self, node: int, request: bytes) -> bool:
+        """Send an SDO request; after `command`, because cyclic frames go first. Whether the queue has taken it."""
+        return bool(self._send(od.SDO_RX_BASE + node, request))
 
     def _send_enable(self, on: bool, *, heartbeat: bool) -> None:
         if (frame := self.enable.due(on, heartbeat=heartbeat)) is not None:

@@ -130,6 +130,11 @@ class Readback:
         self._left = self._every
         return self._send(t_ns)
 
+    def unsent(self) -> None:
+        """The request just given could not be sent: it is no try of the device, and follows again."""
+        self._tries -= 1
+        self._sent_ns = 0
+
     def take(self, node: int, data: bytes | bytearray, t_ns: int) -> bool:
         """Take an SDO answer; returns whether it is to one of our requests. A late or repeated answer is."""
         where = sdo.answered(data)

@@ -48,10 +48,13 @@ class ProcessData:
     def can_ids(self, settings: RigSettings) -> dict[str, int]:
         """CAN identifier of each."""
         nodes = settings.canopen_nodes
-        return {
-            name: layout.cob_base + nodes.get(_OWNERS.get(name, name), nodes["cylinder"])
-            for name, layout in self.frames.items()
-        }
+        return {name: layout.cob_base + nodes[self.owner(name, settings)] for name, layout in self.frames.items()}
+
+    @staticmethod
+    def owner(name: str, settings: RigSettings) -> str:
+        """Section of the device that sends or takes a PDO."""
+        section = _OWNERS.get(name, name)
+        return section if section in settings.canopen_nodes else "cylinder"
 
     def as_json(self) -> dict[str, Any]:
         """For control.json."""

@@ -8,20 +8,25 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any
+from typing import TypeVar
 
 import canopen
 
+from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
-from rigctl.devices import emergency
+from rigctl.devices import eds_file, emergency
 from rigctl.devices import objects as od
+from rigctl.devices.eds_file import EdsError, EdsObject
+from rigctl.devices.needed_objects import MOST_ENTRIES
 from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
+_TRIES = 3
+"""Requests to a device that has answered before, until it counts as silent."""
+_Value = TypeVar("_Value")
 _MOST_SEGMENTS = 4  # no object read here needs more than one
 _ASK_AGAIN_S = 0.05
-_MOST_ENTRIES = 64  # a larger count marks a multiplexed PDO, which we do not use
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen raises these on short frames and wrong sizes
 
 
@@ -66,13 +71,21 @@ class RemoteNode:
     """One device under configuration, with errors that name it."""
 
     def __init__(self, bus: StartupBus, settings: RigSettings, section: str, name: str) -> None:
-        """``section``: the device's section in the rig file."""
+        """``section``: the device's section in the rig file.
+
+        Raises:
+            StartupError: its EDS file cannot be used.
+        """
         device = getattr(settings, section)
         self.name, self.id = name, int(device.node)
         self._section, self._device = section, device
         self._channel = f"{settings.can.interface}:{settings.can.channel}"
         self._bus = bus
-        self.remote = bus.add(self.id, settings.file(device.eds), device.sdo_timeout_ms * 1e-3)
+        try:
+            self._objects = eds_file.read(settings, section)
+        except EdsError as error:
+            raise StartupError(str(error)) from None
+        self.remote = bus.add(self.id, device.sdo_timeout_ms * 1e-3)
         self._verified: dict[tuple[int, int], Watched] = {}
 
     @property
@@ -84,31 +97,26 @@ class RemoteNode:
         """Device and object, for an error."""
         return f"{self.name} (node {self.id}), object 0x{index:04X}:{sub:02X}"
 
-    def _variable(self, index: int, sub: int) -> Any:
-        entry = self.remote.sdo[index]
-        return entry[sub] if hasattr(entry, "__getitem__") and not hasattr(entry, "raw") else entry
-
     def has(self, index: int, sub: int = 0) -> bool:
         """Whether an object that is optional in its profile is in the device's EDS file."""
-        try:
-            self._variable(index, sub)
-        except KeyError:
-            return False
-        return True
+        return (index, sub) in self._objects
 
-    def read(self, index: int, sub: int = 0) -> int:
-        """Value of an object."""
-        try:
-            with self._errors_named(index, sub):
-                return self._upload(self._variable(index, sub))
-        except SilentError:
-            raise SilentError(
-                f"{self.name} (node {self.id}) does not answer on {self._channel} within "
-                f"{self._device.sdo_timeout_ms} ms ({self._section}.sdo_timeout_ms): is the rig on and connected?"
-            ) from None
+    def read(self, index: int, sub: int = 0, *, tries: int = _TRIES) -> int:
+        """Value of an object; a request without an answer is repeated."""
+        with self._errors_named(index, sub, tries=tries):
+            return self._repeated(lambda: self._upload(self._objects[index, sub]), tries)
+
+    def _repeated(self, transfer: Callable[[], _Value], tries: int = _TRIES) -> _Value:
+        """Result of a transfer, which is repeated where no answer comes: one lost frame is no silent device."""
+        for _ in range(tries - 1):
+            with contextlib.suppress(canopen.SdoCommunicationError):
+                return transfer()
+        return transfer()
 
     @contextlib.contextmanager
-    def _errors_named(self, index: int, sub: int, refused: str = "cannot be read") -> Iterator[None]:
+    def _errors_named(
+        self, index: int, sub: int, refused: str = "cannot be read", tries: int = _TRIES
+    ) -> Iterator[None]:
         """A transfer of an object, whose errors name device and object; ``refused``: what an abort means.
 
         Raises:
@@ -123,24 +131,57 @@ class RemoteNode:
         except _GARBLED:
             raise StartupError(f"{where}: answered with what is no SDO answer on {self._channel}") from None
         except canopen.SdoCommunicationError:
-            raise SilentError(f"{self.name} (node {self.id}) stopped answering on {self._channel}") from None
+            asked = f", asked {tries} times for {where.partition(', ')[2]}" if tries > 1 else ""
+            raise SilentError(
+                f"{self.name} (node {self.id}) does not answer on {self._channel} within {self._device.sdo_timeout_ms} "
+                f"ms ({self._section}.sdo_timeout_ms){asked}: is the rig on and connected?"
+            ) from None
         except KeyError:
             raise StartupError(f"{where}: not in its EDS file") from None
 
-    def _upload(self, variable: Any) -> int:
-        """An object's value; canopen's own upload has no bound on the segments a device sends."""
+    def _upload(self, item: EdsObject) -> int:
+        """An object's value; canopen's own upload has no bound on the segments a device sends.
+
+        Raises:
+            StartupError: the answer has not the object's length, and what is beyond it is more than padding.
+        """
         data = b""
-        with self.remote.sdo.open(variable.od.index, variable.od.subindex, "rb", buffering=0) as stream:
+        with self.remote.sdo.open(item.index, item.sub, "rb", buffering=0) as stream:
             for _ in range(_MOST_SEGMENTS):
                 if not (part := stream.read(7)):
-                    return int(variable.od.decode_raw(data[: len(variable.od) // 8]))
+                    break
                 data += part
-        raise canopen.ObjectDictionaryError("it does not end")
+            else:
+                raise canopen.ObjectDictionaryError("it does not end")
+            if stream.exp_data is not None and stream.size is None:
+                data = data[: item.size]  # expedited without a length: four bytes in any case
+        signed = item.code.islower()
+        value = int.from_bytes(data[: item.size], "little", signed=signed)
+        if len(data) < item.size or int.from_bytes(data, "little", signed=signed) != value:
+            raise StartupError(
+                f"{self.where(item.index, item.sub)}: answered with {count(len(data), 'byte')} ({data.hex(' ')}), "
+                f"expected {item.size} ({item.type_name})"
+            )
+        return value
+
+    def _download(self, value: int, item: EdsObject) -> None:
+        """Write an object; a request without an answer is repeated.
+
+        Raises:
+            StartupError: the object's type cannot hold the value.
+        """
+        try:
+            data = struct.pack("<" + item.code, value)
+        except struct.error:
+            raise StartupError(
+                f"{self.where(item.index, item.sub)}: {value} does not fit into it, it is {item.type_name}"
+            ) from None
+        self._repeated(lambda: self.remote.sdo.download(item.index, item.sub, data))
 
     def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
         """Write an object and read it back."""
         with self._errors_named(index, sub, f"{value:#x} refused"):
-            self._variable(index, sub).raw = value
+            self._download(value, self._objects[index, sub])
         return self.expect(value, index, sub) if verify else value
 
     def expect(self, value: int, index: int, sub: int = 0) -> int:
@@ -153,8 +194,8 @@ class RemoteNode:
 
     def watch(self, value: int, index: int, sub: int = 0, name: str = "") -> None:
         """Have the loop check that an object keeps ``value``."""
-        entry = self._variable(index, sub).od
-        size = max(1, len(entry) // 8)  # a BOOLEAN has 1 bit
+        entry = self._objects[index, sub]
+        size = entry.size
         self._verified.pop((index, sub), None)
         self._verified[index, sub] = Watched(
             self.id, index, sub, size, value & (1 << 8 * size) - 1, name or entry.name,
@@ -167,14 +208,14 @@ class RemoteNode:
         what = f"0x{index:04X}:{sub:02X}" if sub else f"0x{index:04X}"
         if not self.has(index, sub):
             return StopSetting(name, what, wanted, None, "not in its EDS file")
-        variable, why = self._variable(index, sub), ""
+        item, why = self._objects[index, sub], ""
         with self._errors_named(index, sub):
             try:
-                variable.raw = wanted
+                self._download(wanted, item)
             except canopen.SdoAbortedError as error:
                 why = f"refused: {error}"
             try:
-                found = StopSetting(name, what, wanted, self._upload(variable), why)
+                found = StopSetting(name, what, wanted, self._repeated(lambda: self._upload(item)), why)
             except canopen.SdoAbortedError as error:
                 return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
         if found.ok:
@@ -198,7 +239,7 @@ class RemoteNode:
         waited = False
         while True:
             try:
-                self.read(index)
+                self.read(index, tries=1)
             except SilentError:
                 left_s = (until_ns - self._bus.now_ns()) * 1e-9
                 if left_s <= 0 or ends():
@@ -213,8 +254,8 @@ class RemoteNode:
 
     def await_boot(self, until_ns: int, say: Callable[[str], None]) -> None:
         """Wait until the device answers, at most until ``until_ns``; see `await_answer`."""
-        if self.await_answer(od.DEVICE_TYPE, until_ns, say):
-            self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted missed the first command
+        self.await_answer(od.DEVICE_TYPE, until_ns, say)
+        self.remote.nmt.state = "PRE-OPERATIONAL"  # a device that has just booted, or lost a frame, missed the first
 
     def error(self) -> str:
         """The error that the device reports now, in words; "": none."""
@@ -287,15 +328,15 @@ class RemoteNode:
         return layout
 
     def _mapping(self, index: int) -> tuple[int, ...]:
-        count = self.read(index, 0)
-        return tuple(self.read(index, sub) for sub in range(1, count + 1)) if count <= _MOST_ENTRIES else ()
+        entries = self.read(index, 0)
+        return tuple(self.read(index, sub) for sub in range(1, entries + 1)) if entries <= MOST_ENTRIES else ()
 
     def _remap(self, layout: od.PdoLayout, mapped: tuple[int, ...]) -> od.PdoLayout:
         """Write the mapping of a PDO that is switched off; returns the layout in use."""
         index = layout.mapping_object
         with self._errors_named(index, 0):
             try:
-                self._variable(index, 0).raw = 0
+                self._download(0, self._objects[index, 0])
             except canopen.SdoAbortedError as error:  # the mapping is fixed
                 try:
                     return layout.as_mapped(mapped)

@@ -104,7 +104,8 @@ def refuse_rival(bus: StartupBus, settings: RigSettings) -> None:
             message = bus.receive(until_ns)
         except can.CanError as error:
             raise StartupError(
-                f"{settings.can.interface}:{settings.can.channel} cannot be read: {error} (is the interface up?)"
+                f"{settings.can.interface}:{settings.can.channel} cannot be read: "
+                f"{bus_words(error, settings)} (is the interface up?)"
             ) from None
         if message is not None and not message.is_error_frame and message.arbitration_id in ours:
             raise StartupError(
@@ -130,19 +131,29 @@ def bring_up(
     Raises:
         StartupError: one line.
     """
-    line = StartupBus(bus, now_ns)
+    channel = f"{settings.can.interface}:{settings.can.channel}"
+    line = StartupBus(bus, now_ns, lambda words: say(f"{channel}: {words}"))
     nodes = {device: RemoteNode(line, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     refuse_rival(line, settings)
     try:
         return _configure(line, nodes, settings, say)
     except can.CanError as error:
-        raise StartupError(f"{settings.can.interface}:{settings.can.channel}: {error}") from None
+        raise StartupError(f"{channel}: {bus_words(error, settings)}") from None
+
+
+def bus_words(error: Exception, settings: RigSettings) -> str:
+    """What a bus reports, on one line and without the name of the interface that some backends put before it."""
+    words = " ".join(str(error).split())
+    for name in (f"{settings.can.interface}:{settings.can.channel}", settings.can.channel):
+        words = words.removeprefix(f"{name}: ")
+    return words
 
 
 def _configure(
     bus: StartupBus, nodes: Mapping[str, RemoteNode], settings: RigSettings, say: Callable[[str], None]
 ) -> StartupReport:
-    drive, until_ns = nodes["cylinder"], bus.until_ns(settings.can.boot_wait_s)
+    drive = nodes["cylinder"]
+    bus.boots_until_ns = until_ns = bus.until_ns(settings.can.boot_wait_s)
     at_start = DriveAtStart(bus, drive, settings.cylinder.brake_delay_ms * 1e-3, say)
     at_start.take_off_power(at_start.known_state(until_ns))
     at_start.clear_targets()

@@ -19,6 +19,8 @@ from rigctl.ipc.folder_places import ACTIVE, DigestError, FolderPlaces
 
 RECORDED = "recorder.json"
 DESIGN = "design.json"
+REFUSED = "refused.json"
+"""Why the control process did not start, from it to the supervisor."""
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
@@ -79,6 +81,11 @@ class _RecorderFile(msgspec.Struct):
 
 
 @built
+class _RefusedFile(msgspec.Struct):
+    why: str = ""
+
+
+@built
 class _DesignFile(msgspec.Struct):
     run_id: str
     design: _Object
@@ -89,6 +96,7 @@ SHAPES: dict[str, Any] = {
     DESIGN: _DesignFile,
     "control.json": _ControlFile,
     RECORDED: _RecorderFile,
+    REFUSED: _RefusedFile,
 }
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 

@@ -37,7 +37,7 @@ import msgspec
 
 from rigctl.config import layout
 from rigctl.ipc import record, whole_file, writers
-from rigctl.ipc.folder_files import DESIGN, RECORDED, FolderFiles
+from rigctl.ipc.folder_files import DESIGN, RECORDED, REFUSED, FolderFiles
 from rigctl.ipc.folder_places import ACTIVE, GATEWAY_SOCKET, LOCK, LONGEST_LOCK, daemon_pid, digest
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
@@ -49,6 +49,7 @@ __all__ = [
     "BASE",
     "DESIGN",
     "RECORDED",
+    "REFUSED",
     "AlreadyRunningError",
     "FolderError",
     "RingFile",

@@ -39,7 +39,7 @@ from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
 from rigctl.ipc.ring import RingReader
-from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, AlreadyRunningError, FolderError, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, REFUSED, AlreadyRunningError, FolderError, Runtime
 from rigctl.ipc.service_manager import notify, unnotified
 from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
@@ -57,6 +57,11 @@ STABLE_S = 10.0
 LOOK_S = 0.1  # between two looks at the progress of the others
 WATCHDOG_PERIOD_NS = 500_000_000
 WATCHDOG_STALE_NS = 1_000_000_000
+
+
+_INTERRUPTED = (
+    "the start was interrupted before the loop ran: this daemon has not enabled the drive, nor seen its brake"
+)
 
 
 class CannotRunError(RuntimeError):
@@ -193,6 +198,8 @@ class Supervisor:
             self._watch_services(time.monotonic())
             time.sleep(0.005)
         self._wait_until_it_answers()
+        if self._stopping:
+            return
         self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
         self._say(
@@ -204,7 +211,17 @@ class Supervisor:
     def _refuse_ended(self) -> None:
         for child in self._children.values():
             if child.process.poll() is not None and child.name not in _NOT_NEEDED:
-                raise CannotRunError(f"{self.settings.rig}: {child.name} could not start (see above)")
+                why = self._why_refused(child) or f"it ended with code {child.process.returncode} (see above)"
+                raise CannotRunError(f"{self.settings.rig}: {child.name} could not start: {why}")
+
+    def _why_refused(self, child: Child) -> str:
+        """The reason that the control process has left for its end; "": none, or another process."""
+        if child.name != "control":
+            return ""
+        why = str(self._runtime.known(REFUSED).get("why", ""))
+        with contextlib.suppress(OSError):
+            self._runtime.place(REFUSED).unlink(missing_ok=True)
+        return why
 
     def _wait_until_it_answers(self) -> None:
         """Wait for the processes that an operator needs; the daemon goes on without a service after a time."""
@@ -390,6 +407,8 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 how = "ended to start all devices up again" if code == EXIT_STARTS_ANEW else how
+                if why := self._why_refused(child):
+                    how = f"could not start: {why}"
                 if child.hung:
                     how = f"hung, without progress and processor time for {HUNG_S:g} s, and was killed"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
@@ -474,7 +493,7 @@ class Supervisor:
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
-        code, how = _ending(last, clean)
+        code, how = (1, _INTERRUPTED) if last is None else _ending(last, clean)
         if self._folder_lost:
             code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
@@ -507,9 +526,9 @@ class Supervisor:
                 child.process.wait()
 
 
-def _ending(last: np.void | None, clean: bool) -> tuple[int, str]:
+def _ending(last: np.void, clean: bool) -> tuple[int, str]:
     """Exit code and one line on the state the rig was left in; ``last``: its newest record."""
-    if last is None or not clean:
+    if not clean:
         return 1, "the loop did not stop by itself; the drive holds by its own supervision"
     mode = Mode(int(last["mode"])).name
     where = f"stroke {last['stroke_mm']:z.2f} mm, tension {last['tension_n']:z.1f} N"

@@ -1,8 +1,9 @@
-"""``python -m tests.fuzz [frames|commands|configs|replies|startup|all]``: random input at every entry of the program.
+"""``python -m tests.fuzz [frames|commands|configs|replies|startup|device-files|all]``: random input at every entry.
 
 frames: into the loop, every frame it sends judged. commands: queries through the parsers into the loop. configs: rig
 files, and every other kind of file. replies: SDO answers to the start-up. startup: every file read at a start, damaged
-or replaced. Exit code 0 good, 1 a finding, 2 usage.
+or replaced. device-files: EDS and DBC files as the field has them, checked and started. Exit code 0 good, 1 a finding,
+2 usage.
 """
 
 from __future__ import annotations
@@ -19,10 +20,11 @@ from typing import Any
 from rigctl.config import rig_file as config
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
-from tests.fuzz import commands, files, frames, replies, startup_files
+from tests.fuzz import commands, device_files, files, frames, replies, startup_files
 from tests.fuzz.judge import Tally
 
-COUNTS = {"frames": 1_000_000, "commands": 10_000, "configs": 10_000, "replies": 500, "startup": 1000}
+COUNTS = {"frames": 1_000_000, "commands": 10_000, "configs": 10_000, "replies": 500, "startup": 1000,
+          "device-files": 60}  # fmt: skip
 SHOWN = 20
 
 
@@ -37,6 +39,7 @@ def run(what: str, count: int, seed: int) -> dict[str, Any]:
         "configs": lambda: files.play(count, max(1, count // 10), max(1, count // 100), seed),
         "replies": lambda: replies.play(settings, count, seed),
         "startup": lambda: startup_files.play(count, seed),
+        "device-files": lambda: device_files.play(count, seed),
     }
     found = kinds[what]()
     if isinstance(found, Tally):

@@ -22,7 +22,7 @@ from rigctl.devices.remote_node import StartupError
 from rigctl.wire.command_request import RequestError, parse
 from tests.builders.paths import ROOT
 from tests.builders.rig_on_hub import RigOnHub
-from tests.fuzz import commands, files, frames, mutate, replies, startup_files
+from tests.fuzz import commands, device_files, eds_mutants, files, frames, mutate, replies, startup_files
 from tests.fuzz.judge import Tally
 
 
@@ -83,6 +83,15 @@ def test_a_file_read_at_a_start_may_be_damaged_in_any_way(monkeypatch: pytest.Mo
         assert found.taken[name] == found.tried[name], name  # the process went on without the file
     for name in ("rig file", "DBC file", "EDS file", "gain file", "calibration ledger", "audit log", "recording"):
         assert found.tried[name] - found.taken[name] > 0, name
+
+
+def test_a_device_file_that_check_passes_starts_with_the_devices_own_values() -> None:
+    found = device_files.play(len(eds_mutants.CHANGES), seed=1)
+    assert found.wrong == []
+    for name in ("EDS: encoding", "EDS: letter_case", "DBC: encoding", "DBC: line ends"):
+        assert found.taken[name] == found.tried[name], name
+    for name in ("EDS: of_another_device", "EDS: few_objects", "DBC: bytes"):
+        assert found.taken[name] < found.tried[name], name
 
 
 def test_start_up_ends_whatever_a_device_answers(settings: RigSettings) -> None:

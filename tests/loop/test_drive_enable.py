@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from hil.nodes import io_node
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
@@ -152,8 +153,26 @@ def test_the_daemons_start_leaves_the_output_off_and_has_the_node_watch_us(rig: 
     assert not enables(rig)
 
 
-def test_a_node_without_outputs_is_refused_by_name(settings: RigSettings, gains: Gains) -> None:
+def test_a_node_whose_file_has_no_such_output_is_refused_by_the_objects(settings: RigSettings, gains: Gains) -> None:
     io = IO.model_copy(update={"drive_enable_output": 8})
-    refused = pytest.raises(startup.StartupError, match=r"found 8 outputs, .* io.drive_enable_output \(8\)")
+    refused = pytest.raises(
+        startup.StartupError, match=r"io_node\.eds: io\.eds: found no objects 0x6200:02, 0x6206:02, "
+    )
     with refused, lockstep(settings.model_copy(update={"io": io}), gains):
+        pass
+
+
+def test_a_node_without_outputs_is_refused_by_name(
+    settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = io_node.IoNode.__init__
+
+    def without(self: io_node.IoNode, *arguments: object) -> None:
+        made(self, *arguments)  # type: ignore[arg-type]
+        self.readers[objects.OUTPUTS_8, 0] = lambda: 0
+
+    monkeypatch.setattr(io_node.IoNode, "__init__", without)
+    words = rf"found 0 outputs, .* io.drive_enable_output \({IO.drive_enable_output}\)"
+    refused = pytest.raises(startup.StartupError, match=words)
+    with refused, lockstep(settings.model_copy(update={"io": IO}), gains):
         pass

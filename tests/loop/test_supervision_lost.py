@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import struct
 from collections.abc import Callable
 
+import can
 import pytest
 
+from hil.hub import Port
 from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
@@ -221,3 +224,26 @@ def test_the_load_is_held_when_the_loop_dies_after_such_a_write(rig: Lockstep) -
         rig.clock.skip = 1
         rig.clock.next_tick()
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.0)
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.DISARMED])
+def test_a_request_that_could_not_be_sent_is_no_silent_device(rig: Lockstep, enter: Enter, mode: Mode) -> None:
+    """The send queue is full of other frames for seconds: the settings are read once there is room again."""
+    enter(mode)
+    read = rig.loop.readback.read
+
+    def full(_sender: Port, frame: bytes) -> list[bytes]:
+        if FRAME.unpack(frame)[0] & ~0x7F == od.SDO_RX_BASE:
+            raise can.CanOperationError("send queue full", errno.ENOBUFS)
+        return [frame]
+
+    rig.hub.tap = full
+    rig.run(3.0)
+    assert rig.loop.machine.mode is mode
+    assert not rig.loop.readback.lost
+    rig.hub.tap = None
+    if mode is Mode.DISARMED:
+        assert rig.command(Verb.ARM) is Refusal.NONE
+    rig.run(rotation_s(rig) + 0.1)
+    assert rig.loop.machine.mode is Mode.HOLD
+    assert rig.loop.readback.read >= read + rig.loop.readback.size

@@ -311,8 +311,31 @@ def test_no_rig_is_one_clear_line(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path)
     answer = daemons.rigctl("run", str(file))
     assert answer.returncode == 1
-    assert "no simulated rig is served here" in answer.stderr
-    assert "Traceback" not in answer.stderr
+    (line,) = [line for line in answer.stderr.splitlines() if "no simulated rig is served here" in line]
+    assert line.count("bus.sock") == 1, "the channel, once"
+    assert "RigSimBus" not in answer.stderr and "Traceback" not in answer.stderr
+    assert "no simulated rig is served here" in on_record(file)[-1], "the cause is on record too"
+
+
+def on_record(file: pathlib.Path) -> list[str]:
+    """The lines of the audit log of the supervisor, the newest last."""
+    return daemons.rigctl("audit", "show", str(file), "--what", "daemon").stdout.splitlines()
+
+
+def test_a_start_that_is_interrupted_says_no_more_than_it_has_seen(tmp_path: pathlib.Path) -> None:
+    file = daemons.rig_file(tmp_path, PATIENT)
+    log = tmp_path / "run.log"
+    with daemons.simulated_rig(file, tmp_path / "rig.log"):
+        changed = tmp_path / "other.yaml"
+        changed.write_text(file.read_text().replace("node: 3", "node: 33"))
+        with daemons.process("rigctl", "run", str(changed), log=log) as running:
+            until(lambda: "waiting for inclinometer (node 33)" in log.read_text(), log=log)
+            running.terminate()
+            assert running.wait(patience_s()) == 1
+    assert "answering at" not in log.read_text()
+    words = "the start was interrupted before the loop ran"
+    assert words in log.read_text()
+    assert words in on_record(changed)[-1]
 
 
 def test_a_device_that_does_not_answer_is_named(tmp_path: pathlib.Path) -> None:

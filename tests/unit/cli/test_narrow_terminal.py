@@ -56,6 +56,7 @@ def test_check_cuts_no_key(width: int) -> None:
     """A pipe has 80 columns."""
     words = {part for line in shown(width) for word in line.split() for part in (word, *word.split("."))}
     assert not set(keys_of(RIG)) - words - {"limits", "dbc", "eds"}
+    assert not [line for line in shown(width) if "…" in line], "nor a key that its meaning names"
 
 
 def test_check_tells_units_and_meanings_where_there_is_room() -> None:

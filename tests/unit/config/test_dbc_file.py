@@ -211,6 +211,76 @@ def test_a_dbc_file_that_the_loop_could_not_use(
     assert refusal(write(RIG, dbc)) == f"FILE:{number}: {key}: found {found}, expected {allowed}"
 
 
+SLOPE_16 = "SG_ AngleTangential : 7|16@0- (0.01,0) [-90|90]"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "found", "allowed"),
+    [
+        (SLOPE_16, "SG_ AngleTangential : 7|8@0- (0.01,0) [0|0]", f"{SLOPE}.tangential",
+         "AngleTangential, whose values begin at -1.28 deg",
+         "one that passes -5 (limits.0.low), which could never trip"),
+        (SLOPE_16, SLOPE_16.replace("-90|90", "-90|1.27"), f"{SLOPE}.tangential",
+         "AngleTangential, whose values end at 1.27 deg", "one that passes 5 (limits.0.high), which could never trip"),
+        (SLOPE_16, SLOPE_16.replace("-90|90", "-4|90"), f"{SLOPE}.tangential",
+         "AngleTangential, whose values begin at -4 deg", "one that passes -5 (limits.0.low), which could never trip"),
+        (SLOPE_16, SLOPE_16.replace("@0-", "@0+").replace("-90|90", "0|0"), f"{SLOPE}.tangential",
+         "AngleTangential, whose values begin at 0 deg", "one that passes -5 (limits.0.low), which could never trip"),
+        ("[-2000000|2000000]", "[0|400]", f"{CELL}.tension", "RopeTension, whose values end at 400 N",
+         "one that passes 400 (safety.tension_high_n), which could never trip"),
+        (TENSION, TENSION.replace(",0)", ",30)").replace("32@1-", "32@1+"), f"{CELL}.tension",
+         "RopeTension, whose values begin at 30 N",
+         "one that passes 20 (safety.tension_low_n), which could never trip"),
+        (TENSION, TENSION.replace("32@1-", "16@1-").replace("0.001", "-0.01"), f"{CELL}.tension",
+         "RopeTension, whose values end at 327.68 N",
+         "one that passes 400 (safety.tension_high_n), which could never trip"),
+    ],
+)  # fmt: skip
+def test_a_signal_that_cannot_pass_a_limit_is_refused(
+    write: Write, old: str, new: str, key: str, found: str, allowed: str
+) -> None:
+    section, _, name = key.rpartition(".")
+    number = line_of(section.split(".")[0], name)
+    assert refusal(write(RIG, changed(DBC, old, new))) == f"FILE:{number}: {key}: found {found}, expected {allowed}"
+
+
+def test_a_limit_that_only_logs_or_is_waived_may_be_out_of_reach(write: Write) -> None:
+    dbc = changed(DBC, SLOPE_16, SLOPE_16.replace("-90|90", "-4|4"))
+    logged = changed(RIG, "tangential_deg, low: -5.0, high: 5.0, persistence_ms: 15, action: hold",
+                     "tangential_deg, low: -5.0, high: 5.0, persistence_ms: 15, action: log")  # fmt: skip
+    assert config.load(write(logged, dbc)).plain_messages
+    assert config.load(write(RIG, dbc), study=True).plain_messages
+
+
+@pytest.mark.parametrize("declared", ["0|0", f"0|{MANY_DIGITS}", "-1E999|1E999", "5|-5"])
+def test_a_declared_range_that_is_none_bounds_nothing(write: Write, declared: str) -> None:
+    file = write(RIG, changed(DBC, "[-2000000|2000000]", f"[{declared}]"))
+    signal = config.load(file).plain_messages["tension_cell"].signals["tension"]
+    assert signal.most == pytest.approx((2**31 - 1) * 0.001)
+
+
+def test_a_float_passes_every_limit(write: Write) -> None:
+    text = changed(DBC, TENSION, TENSION.replace("(0.001,0)", "(1,0)")) + "\nSIG_VALTYPE_ 272 RopeTension : 1;\n"
+    assert config.load(write(RIG, text)).plain_messages["tension_cell"].signals["tension"].floating
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "utf-8", "utf-8-sig", "utf-16"])
+def test_the_files_of_every_editor_are_read(write: Write, encoding: str) -> None:
+    file = write(RIG, DBC)
+    (file.parent / "plain_sensors.dbc").write_bytes(
+        DBC.replace('CM_ "Two', 'CM_ "Prüfstand, 1 °, two').encode(encoding)
+    )
+    assert config.load(file).plain_messages["tension_cell"].name == "Tension"
+
+
+def test_what_cantools_has_to_say_of_messages_that_we_do_not_use_is_not_printed(write: Write) -> None:
+    twice = "".join(f"\nBO_ {id_} Other: 8 TensionCell\n" for id_ in (500, 501))
+    code = "import sys; from rigctl.config import rig_file; rig_file.load(sys.argv[1])"
+    file = write(RIG, DBC + twice)
+    done = subprocess.run([sys.executable, "-c", code, str(file)], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == ("", "")
+
+
 def test_can_fd_is_refused_whatever_its_length(write: Write) -> None:
     frame_format = (
         'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved",'

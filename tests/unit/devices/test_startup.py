@@ -8,6 +8,7 @@ from typing import Any
 import can
 import pytest
 
+from hil.hub import Port
 from hil.wire import FRAME
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.settings import RigSettings
@@ -130,8 +131,43 @@ def test_a_fixed_mapping_that_lacks_what_is_needed_is_refused_by_the_object(
 
 
 def test_an_object_the_device_does_not_have_is_refused_by_its_name() -> None:
-    said = refusal(changed(SETTINGS, cylinder={"eds": "eds/stock_drive.eds"}))
-    assert said.startswith("cylinder drive (node 4), object 0x1A00:03: 0x20440010 refused: Code 0x06040041")
+    devices = Devices(SETTINGS)
+    del devices.rig.drive.device.object_dictionary[od.VELOCITY_ACTUAL_16]
+    devices.rig.drive.device.set_data(od.TPDO1_MAPPING, 0, b"\0")
+    with pytest.raises(StartupError) as raised:
+        devices.bring_up()
+    assert str(raised.value).startswith(
+        "cylinder drive (node 4), object 0x1A00:03: 0x20440010 refused: Code 0x06040041"
+    )
+
+
+def answered(data: bytes) -> Devices:
+    """Devices of which the inclinometer answers 0x6000, 16 bits of 0.001 deg, with these bytes."""
+    devices = Devices(SETTINGS)
+
+    def tap(_sender: Port, frame: bytes) -> list[bytes]:
+        can_id, size, old = FRAME.unpack(frame)
+        if can_id == od.SDO_TX_BASE + SLOPE and old[1:4] == b"\x00\x60\x00":
+            head = bytes([0x43 | 4 - len(data) << 2])
+            return [FRAME.pack(can_id, size, head + old[1:4] + data.ljust(4, b"\0"))]
+        return [frame]
+
+    devices.hub.tap = tap
+    return devices
+
+
+def test_a_value_that_does_not_fit_the_objects_type_is_refused_and_not_cut() -> None:
+    with pytest.raises(StartupError) as raised:
+        answered(b"\x0a\x00\x01\x00").bring_up()  # 65 546, of which 16 bits are the 10 that is expected
+    assert str(raised.value) == (
+        "inclinometer (node 3), object 0x6000:00: answered with 4 bytes (0a 00 01 00), expected 2 (UNSIGNED16)"
+    )
+    with pytest.raises(StartupError, match=r"answered with 1 byte \(0a\), expected 2 \(UNSIGNED16\)"):
+        answered(b"\x0a").bring_up()
+
+
+def test_one_that_a_device_only_pads_is_taken() -> None:
+    assert answered(b"\x0a\x00\x00\x00").bring_up().supervised
 
 
 @pytest.mark.parametrize(
