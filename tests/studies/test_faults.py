@@ -156,6 +156,7 @@ def test_a_rigs_row_says_what_was_so(bench: Bench) -> None:
     assert found.tension_min_n == pytest.approx(300.0, abs=1.0)
 
 
+@pytest.mark.gate("3-cell_silent-1", "29-io_silent-0", "23-io_e_stop-1")
 @pytest.mark.parametrize(
     ("fault", "name", "mode"),
     [
@@ -193,6 +194,7 @@ def test_a_rig_that_cuts_the_power_of_a_runaway_late_is_found_out(monkeypatch: p
     assert any(text.startswith("tension") for text in found.findings)
 
 
+@pytest.mark.gate("True-drive off")
 @pytest.mark.parametrize(("escalates", "reaction"), [(True, Reaction.DRIVE_OFF), (False, Reaction.LEFT)])
 def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
     monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
@@ -206,6 +208,7 @@ def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
     assert found.findings
 
 
+@pytest.mark.study
 def test_rows_are_the_same_every_time(bench: Bench) -> None:
     first, again = (row(bench, "frames_lost_10pct", Mode.HOLD) for _ in range(2))
     assert first == again
