@@ -12,7 +12,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
 from rigctl.wire.possible_commands import possible
-from rigctl.wire.state_words import held, mode
+from rigctl.wire.state_words import drive, held, mode
 from rigctl.wire.trust import doubts, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
@@ -69,7 +69,7 @@ class OperatorView:
 
 _NOT_SHOWN = (PowerOff.AWAITED.name, PowerOff.UNCONFIRMED.name)
 _DOES = {
-    "DISARMED": "the drive is off; {held}",
+    "DISARMED": "the drive is {drive}; {held}",
     "HOLD": "holds the stroke: {held}",
     "TENSIONING": "ramps the tension up to {target}",
     "COMPENSATING": "keeps the tension at {target}: the stroke moves by itself",
@@ -173,7 +173,9 @@ def _does(state: dict[str, Any], flags: list[str]) -> str:
         return "checks before arming; then the drive comes on"
     target = state.get("target_n")
     words = _DOES.get(mode_name, mode_name).format(
-        target=number(target, 1, "N") if isinstance(target, int | float) else "-", held=held(state)
+        target=number(target, 1, "N") if isinstance(target, int | float) else "-",
+        held=held(state),
+        drive=drive(state),
     )
     return f"{words}; then FAULT" if mode_name == "RELEASING" and state.get("fault") else words
 

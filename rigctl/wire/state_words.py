@@ -55,10 +55,12 @@ def held(state: dict[str, Any]) -> str:
 
 
 def drive(state: dict[str, Any]) -> str:
-    """Whether the drive is on, as its statusword says."""
+    """Whether the drive is on, as its statusword says; "not off" on its way there or back, which it may not end."""
     if "drive" in doubts(state):
         return "not known"
-    return "on" if "drive_enabled" in state.get("flag_names", []) else "off"
+    if "drive_enabled" in state.get("flag_names", []):
+        return "on"
+    return "not off" if state.get("held_by") in ("CLOSING", "TAKING") else "off"
 
 
 def brake(state: dict[str, Any]) -> str:

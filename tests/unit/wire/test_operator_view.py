@@ -11,6 +11,7 @@ from rigctl.control.events import Kind, fault_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
+from rigctl.wire import state_words
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
 from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST, view
@@ -135,3 +136,11 @@ def test_the_rows_of_status_and_watch_hold_every_answer() -> None:
     told = state(Mode.FAULT, fault="CELL_STALE", causes=[STALE])
     labels = [label for label, _, _ in banner_rows(told, view(told))]
     assert labels == ["does now", "blocks reset", "next step", "entry"]
+
+
+@pytest.mark.parametrize(("by", "shown"), [("BRAKE", "off"), ("CLOSING", "not off"), ("TAKING", "not off")])
+def test_a_drive_on_its_way_is_not_called_off(by: str, shown: str) -> None:
+    """In SWITCHED ON or QUICK STOP ACTIVE the motor may carry the load, for good if the drive stays there."""
+    found = state(Mode.DISARMED, held_by=by)
+    assert state_words.drive(found) == shown
+    assert view(found).does.startswith(f"the drive is {shown}; ")
