@@ -97,7 +97,11 @@ class Lockstep:
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
         self._bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)
-        self.report = self._bring_up()
+        try:
+            self.report = self._bring_up()
+        except startup.StartupError:
+            bus.shutdown()
+            raise
         self._pass_time(lambda: False, (START_NS - self.rig_ns) * 1e-9)
         self.clock = self._clock_of_now()
         self._records = runtime.records.reader()

@@ -8,6 +8,7 @@ from rigctl.config.canopen import VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
 from rigctl.config.settings_base import CanopenDevice, Hexadecimal, NodeId, PdoNumber, require
 
 _LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
+_LARGEST_UNSIGNED = 2**32 - 1  # 0x6085 is UNSIGNED32
 
 
 class CylinderSettings(CanopenDevice):
@@ -91,7 +92,25 @@ class CylinderSettings(CanopenDevice):
             most = _LARGEST_RAW / farthest if farthest else _LARGEST_RAW
             found = self.increments_per_mm
             require(found <= most, "increments_per_mm", found, f"up to {most:g}: the stroke's end fits in 32 bits")
+        key, units = self.ramp_units
+        if units is not None:
+            most = _LARGEST_UNSIGNED / self.stop_deceleration_mm_s2
+            require(units <= most, key, units, f"up to {most:g}: stop_deceleration_mm_s2 fits in 32 bits (0x6085)")
         return self
+
+    @property
+    def speed_units(self) -> tuple[str, float | None]:
+        """The key that gives the units of speed per mm/s, and them; None: the drive gives them at the start."""
+        if self.speed_units_per_mm_s is not None:
+            return "speed_units_per_mm_s", self.speed_units_per_mm_s
+        return "increments_per_mm", self.increments_per_mm
+
+    @property
+    def ramp_units(self) -> tuple[str, float | None]:
+        """The same of the ramp, per mm/s2."""
+        if self.ramp_units_per_mm_s2 is not None:
+            return "ramp_units_per_mm_s2", self.ramp_units_per_mm_s2
+        return self.speed_units
 
     @model_validator(mode="after")
     def _stroke_has_length(self) -> CylinderSettings:

@@ -37,6 +37,7 @@ from rigctl.config.simulation_section import SimulationSettings
 from rigctl.config.telemetry_section import TelemetrySettings
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
+_LARGEST_RAW = 2**31 - 1  # of the target velocity, 0x60FF
 _TEMPERATURE_HZ, _MOST_SYNCS = 5, 240  # a cell takes minutes to warm; most SYNCs of a transmission type
 _SDO_TRANSFERS = 100  # most transfers of a device at start-up, with room
 
@@ -215,6 +216,15 @@ class RigSettings(Settings):
     simulation: SimulationSettings | None = None
     directory: str = ""
     plain: PlainMessages = Field(default_factory=PlainMessages)
+
+    @model_validator(mode="after")
+    def _speed_fits_its_frame(self) -> RigSettings:
+        key, units = self.cylinder.speed_units
+        if units is not None:
+            most = _LARGEST_RAW / self.tension.speed_max_mm_s
+            allowed = f"up to {most:g}: tension.speed_max_mm_s fits in 32 bits (0x60FF)"
+            require(units <= most, f"cylinder.{key}", units, allowed)
+        return self
 
     @model_validator(mode="after")
     def _parts_agree(self) -> RigSettings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import re
 
 import pytest
 
@@ -40,6 +41,7 @@ def test_a_number_of_a_data_sheet_is_given_in_hexadecimal(tmp_path: pathlib.Path
         ("  increments_per_mm: 10.0\n", "increments_per_mm", "found 10.0"),
         ("  increments_per_mm: 1.0e+8\n", "increments_per_mm", "found 100000000.0"),
         ("  speed_units_per_mm_s: 10.0\n", "speed_units_per_mm_s", "found 10.0"),
+        ("  ramp_units_per_mm_s2: 9.0e+6\n", "ramp_units_per_mm_s2", "up to 8.58993e+06: stop_deceleration_mm_s2 fits"),
         ("  sdo_timeout_ms: 0\n", "sdo_timeout_ms", "found 0"),
         ('  vendor: "0x1FFFFFFFF"\n', "vendor", "found '0x1FFFFFFFF'"),
     ],
@@ -62,6 +64,15 @@ def test_increments_that_do_not_fit_in_32_bits_are_refused(tmp_path: pathlib.Pat
     with pytest.raises(config.ConfigError) as refused:
         load(tmp_path, "  increments_per_mm: 9.0e+6\n", REAL.replace("stroke_max_mm: 120.0", "stroke_max_mm: 300.0"))
     assert any("up to 7.15828e+06: the stroke's end fits in 32 bits" in line for line in refused.value.findings)
+
+
+def test_a_speed_that_does_not_fit_in_32_bits_is_refused(tmp_path: pathlib.Path) -> None:
+    fast = re.sub(r"speed_max_mm_s: [\d.]+", "speed_max_mm_s: 400.0", REAL)
+    units = "  speed_units_per_mm_s: 6.0e+6\n  ramp_units_per_mm_s2: 10.0\n"
+    with pytest.raises(config.ConfigError) as refused:
+        load(tmp_path, units, fast)
+    words = "cylinder.speed_units_per_mm_s: found 6000000.0, expected up to 5.36871e+06: tension.speed_max_mm_s fits"
+    assert any(words in line for line in refused.value.findings)
 
 
 def test_both_frames_of_a_stock_drive_load_the_bus() -> None:
