@@ -209,7 +209,7 @@ def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
     settings = SETTINGS.model_copy(update={"rail_encoder": encoder, "run_out": section})
     inbox = Inbox(cast("can.BusABC", None), settings)
     observer = Observer(
-        settings, inbox, cast("Outbox", SimpleNamespace(synced_ns=0)), Machine(),
+        settings, inbox, cast("Outbox", SimpleNamespace(synced_ns=0, controlword=0)), Machine(),
         TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
         Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),
         HeldTension(settings), SignCheck(settings), NoProbe(settings),
