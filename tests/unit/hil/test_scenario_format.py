@@ -109,7 +109,7 @@ def test_what_is_written_is_what_is_read(tmp_path: pathlib.Path) -> None:
         ("duration_s: 4.0", "duration_s: 0.5", "disturbances.vertical.0.duration_s", "0.5", "twice fade_s (1)"),
         ("frequency_hz: 2.0", "frequency_hz: 501.0", "disturbances.vertical.0.frequency_hz", "501.0", "0 to 500"),
         ("{angle_deg: 5.0, l", "{angle_deg: 0.0, l", "disturbances.run_out.0.points.1.angle_deg", "0.0", "above"),
-        (", {angle_deg: 5.0, level_mm: 0.2}", "", "disturbances.run_out.0.points", "a list", "at least 2 items"),
+        (", {angle_deg: 5.0, level_mm: 0.2}", "", "disturbances.run_out.0.points", "a list", "2 to 1000 items"),
         ("axis: vertical, rms", "axis: up, rms", "disturbances.floor.0.axis", "'up'", "vertical, radial or tangential"),
         ("from_hz: 2.0", "from_hz: 20.0", "disturbances.floor.0.from_hz", "20.0", "below to_hz (20)"),
         ("vertical, impulse", "normal, impulse", "disturbances.impacts.0.axis", "rigid", "mechanism.normal_n_mm"),
