@@ -297,7 +297,10 @@ def test_a_drive_keeps_its_power_for_the_time_it_needs_to_stop(
     with lockstep(slow, gains) as rig:
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.NONE
-        rig.rig.drive.defect = lambda speed, closed: (5.0 if rig.rig.drive.control.stage.powered else speed, closed)
+        creeps_mm_s = 2.0  # a drive whose speed grows beyond any command is cut at once
+        rig.rig.drive.defect = lambda speed, closed: (
+            creeps_mm_s if rig.rig.drive.control.stage.powered else speed, closed,
+        )  # fmt: skip
         words = [(t_ns, word) for t_ns, word, _ in words_of(rig, 1000)]
         asked = next(t_ns for t_ns, word in words if word == objects.Controlword.QUICK_STOP)
         cut = next(t_ns for t_ns, word in words if word == objects.Controlword.DISABLE_VOLTAGE)
