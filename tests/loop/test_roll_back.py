@@ -59,7 +59,7 @@ def test_a_drive_without_a_torque_offset_is_refused_by_name(gains: Gains) -> Non
     stock = changed(settings_of(SETTINGS, RollBackCase(6.0, 300.0, 0.0)), {"cylinder.eds": "eds/stock_drive.eds"})
     stock = changed(stock, {"cylinder.velocity_object": objects.VELOCITY_ACTUAL, "cylinder.velocity_pdo": 3})
     stock = changed(stock, {"cylinder.temperature_object": None})
-    with pytest.raises(StartupError, match="0x60b20010 refused"), lockstep(stock, gains):
+    with pytest.raises(StartupError, match="found no object 0x60B2:00"), lockstep(stock, gains):
         pass
 
 
