@@ -132,6 +132,7 @@ class _AnyState(msgspec.Struct):
     rig: Line = ""
     held_by: Word | None = None
     power_off: Word | None = None
+    load_at_rest: Word | None = None
     calibration: _Calibration | None = None
     lease: _LeaseShown | None = None
     preflight: _Preflight | None = None

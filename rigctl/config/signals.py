@@ -61,6 +61,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("held_by", "B", "", "what carries the load, see held_by; 0 in a mode that moves the stroke"),
     Signal("power_off", "B", "", "what shows that a drive commanded off is without power, see power_off; 0: no such "
            "command"),
+    Signal("load_at_rest", "B", "", "what shows that the load has been at rest for 2 s, see load_at_rest"),
     Signal("sink_mm_s", "d", "mm/s", "speed of the stroke on the closed brake, negative: the load sinks; 0 at rest"),
     Signal("slack_s", "d", "s", "time until the rope is slack at that speed; NaN for a load that does not sink"),
     Signal("fault", "H", "", "latched fault, see faults; 0 none"),

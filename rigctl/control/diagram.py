@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 
+from rigctl.control import load_at_rest
 from rigctl.control.arming import STILL_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
@@ -14,6 +15,7 @@ from rigctl.control.parking import REST_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 
+_LOAD_REST_S = load_at_rest.REST_NS * 1e-9
 _TRIALS = "`identify` and `response`"
 _HEAD = f"""\
 # Modes
@@ -67,6 +69,12 @@ brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says
 | `TAKING` | the drive comes on, its motor takes the load, its brake opens |
 | `UNKNOWN` | the drive does not report |
 | `NOTHING` | TENSIONING, COMPENSATING, RELEASING: the motor moves the load |
+
+Two statements are made beside it, each with what shows it. `power_off`: a drive that was commanded off has no power
+([operate.md](operate.md#modes)). `load_at_rest`: the load has been at rest for {_LOAD_REST_S:g} s, by the tension,
+which has stayed within {load_at_rest.REST_MM:g} mm of stretch, by the stroke, or by both; `MOVES` if one that is seen
+moves; `UNKNOWN` if neither is seen. A cell that is stale or in doubt shows nothing, nor does a slack rope. On the
+closed brake a load that begins to move is an event, and so is its rest.
 
 A stroke that is still not at rest {REST_NS * 1e-9:g} s after a stop should have ended is parked all the same: the
 drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for a stated time, then the load is parked

@@ -15,7 +15,7 @@ from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
-from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
@@ -63,6 +63,7 @@ class Kind(IntEnum):
     HELD = 100  # a: from, b: to, see rigctl.control.modes.HeldBy; value: longest time in s for which the motor holds,
     # 0: hold.park_s; text: the command that needs it, or the mode
     POWER_OFF = 102  # a: see rigctl.control.power_off.PowerOff, value: time since the command in s
+    LOAD_AT_REST = 103  # a: from, b: to, see rigctl.control.modes.LoadAtRest, on the closed brake; text: mode
     NO_MARGINS = 101  # a: why, see Unmeasured
     MARGINS_DIFFER = 104  # value: |S| as measured, limit: the nearest that the design's family has
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply
@@ -334,6 +335,11 @@ def _power_off(a: int, _b: int, value: float, _limit: float, _text: str) -> Word
     return Worded(severity, f"{shown.words}, {value:.1f} s after the command{hint}")
 
 
+def _load_at_rest(_a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
+    shown = LoadAtRest(b)
+    return Worded("info" if shown.rests else "warning", f"{text}: load at rest on the brake: {shown.words}")
+
+
 def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     severity = "error" if b == Mode.FAULT else "info"
     return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
@@ -509,6 +515,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     ),
     Kind.HELD: _held,
     Kind.POWER_OFF: _power_off,
+    Kind.LOAD_AT_REST: _load_at_rest,
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 

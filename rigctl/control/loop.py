@@ -24,7 +24,7 @@ from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
 from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
-from rigctl.control.modes import Event, Mode, PowerOff
+from rigctl.control.modes import Event, HeldBy, Mode, PowerOff
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
@@ -125,6 +125,7 @@ class Loop:
         self._escalator = Escalator(settings, _stopping_ns(settings))
         self._parking = Parking(settings, _stopping_ns(settings))
         self._travel_from_mm = 0.0
+        self._moved_on_brake = False  # a load at rest on the brake has moved since
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
         self._done = NOTHING
         self._logbook = logbook = Logbook(settings, rings)
@@ -381,7 +382,7 @@ class Loop:
     def _look_at_load(self, t_ns: int) -> None:
         """Take note of what carries the load; where the mode keeps the stroke, a change is an event."""
         snapshot, machine = self.observer.snapshot, self.machine
-        before, shown = snapshot.held_by, snapshot.power_off
+        before, shown, rest = snapshot.held_by, snapshot.power_off, snapshot.load_at_rest
         self.observer.look_at_load()
         if snapshot.power_off != shown and snapshot.power_off > PowerOff.AWAITED:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
@@ -391,6 +392,11 @@ class Loop:
             until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
+        braked = snapshot.held_by is before is HeldBy.BRAKE and machine.mode in _KEEPS
+        if braked and (rest.rests if not snapshot.load_at_rest.rests else self._moved_on_brake):
+            self._moved_on_brake = rest.rests
+            text = machine.mode.name.encode()
+            self._logbook.notice(t_ns, Kind.LOAD_AT_REST, rest, snapshot.load_at_rest, text)
 
     def _park(self, t_ns: int) -> None:
         """Let the brake take a load that the motor has held for long enough, or lower it where the brake slips."""

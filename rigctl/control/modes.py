@@ -59,6 +59,33 @@ class PowerOff(IntEnum):
         return _SHOWN_WORDS.get(self, "")
 
 
+class LoadAtRest(IntEnum):
+    """What shows that the load has been at rest for `REST_S`; the number is in the record."""
+
+    UNKNOWN = 0  # neither tension nor stroke is seen
+    MOVES = 1  # one that is seen moves, or has not rested for so long
+    TENSION = 2  # the stroke is not seen
+    STROKE = 3  # the tension is not seen, or the rope is slack
+    BOTH = 4
+
+    @property
+    def rests(self) -> bool:
+        """The load is at rest."""
+        return self > LoadAtRest.MOVES
+
+    @property
+    def words(self) -> str:
+        """On the screens, and behind "load at rest:" in the events."""
+        return _REST_WORDS[self]
+
+
+_REST_WORDS: dict[LoadAtRest, str] = {
+    LoadAtRest.UNKNOWN: "not known",
+    LoadAtRest.MOVES: f"no, or not for {REST_S:g} s",
+    LoadAtRest.TENSION: "yes, by the tension",
+    LoadAtRest.STROKE: "yes, by the stroke",
+    LoadAtRest.BOTH: "yes, by tension and stroke",
+}
 _CONFIRMED = frozenset({PowerOff.INPUT, PowerOff.HEARTBEAT, PowerOff.TENSION, PowerOff.STROKE})
 _SECONDS = f"{REST_S:g} s"
 _SHOWN_WORDS: dict[PowerOff, str] = {

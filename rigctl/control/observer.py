@@ -14,6 +14,7 @@ from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, held_by
@@ -107,6 +108,7 @@ class Observer:
         self._take_up = TakeUp(settings)
         self._standstill, self._sinking = Standstill(settings), Sinking(settings)
         self.power_off = PowerOffWatch(settings)
+        self._load_rest = LoadRest(settings)
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._off_since_ns: int | None = None
         self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
@@ -236,9 +238,10 @@ class Observer:
         return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
 
     def look_at_load(self) -> None:
-        """What carries the load, and whether a power off is confirmed, after this tick's decision."""
-        snapshot, machine = self.snapshot, self._machine
-        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, braked=self.braked)
+        """What carries the load, whether it rests and a power off is confirmed, after this tick's decision."""
+        snapshot, machine, rest = self.snapshot, self._machine, self._load_rest
+        snapshot.load_at_rest = rest.look(machine.fault, snapshot)
+        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=self.braked)
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,

@@ -10,7 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.modes import HeldBy
+from rigctl.control.modes import HeldBy, LoadAtRest
 
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
 
@@ -87,6 +87,7 @@ class Snapshot:
     drive_wanted: bool = False
     held_by: HeldBy = HeldBy.UNKNOWN  # as the tick before has left it
     power_off: int = 0  # the same; see rigctl.control.power_off
+    load_at_rest: LoadAtRest = LoadAtRest.UNKNOWN  # the same; see rigctl.control.load_at_rest
     rope_lost: bool = False
     device_restarted: bool = False
     rival_age_ns: int = 1 << 62  # since another controller was heard

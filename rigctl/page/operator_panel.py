@@ -46,6 +46,7 @@ def devices(state: dict[str, Any], active: dict[str, Any]) -> list[dict[str, Any
         ("drive", figures.drive(state), None if "drive" in doubt else _age(state, "drive"), "drive" in doubt, True),
         ("brake", figures.brake(state), None, False, False),
         ("load", held(state), None, state.get("held_by") == "UNKNOWN", False),
+        ("load at rest", figures.at_rest(state), None, state.get("load_at_rest") == "UNKNOWN", False),
         *((name, _drive_figure(state, field, digits, unit), None, False, True)
           for name, field, digits, unit in _OF_DRIVE),
         *((*row, True) for row in _e_stops(state, settings)),

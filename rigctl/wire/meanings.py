@@ -89,6 +89,8 @@ KINDS: dict[Kind, str] = {
     Kind.HELD: "what carries the load has changed; a: from, b: to, see held_by, value: longest time in s for which the "
     "motor holds, 0: hold.park_s, text: the command that needs it, or the mode",
     Kind.POWER_OFF: "a power off is confirmed, or is not in time; a: see power_off, value: s since the command",
+    Kind.LOAD_AT_REST: "on the closed brake the load has begun to move, is not seen any more, or is at rest again; "
+    "a: from, b: to, see load_at_rest, text: the mode",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {

@@ -10,7 +10,7 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
-from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, Flag, Quality
@@ -36,8 +36,8 @@ from rigctl.wire.state_message import DERIVED
 VERSION = 1  # changes only when a subscriber of this version would misread the data; added fields do not change it
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
-    "modes": Mode, "held_by": HeldBy, "power_off": PowerOff, "faults": Fault, "flags": Flag, "quality": Quality,
-    "verdicts": Verdict,
+    "modes": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest,
+    "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
     "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "actions": Action, "note_kinds": Note,
 }  # fmt: skip
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
 from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, PowerOff
+from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import Action, Row
 from rigctl.diagnosis.diagnose import Culprit
 from rigctl.diagnosis.part import Part
@@ -34,7 +34,7 @@ def quality_words(bits: int) -> str:
     return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
 
 
-def _name(kind: type[Mode | HeldBy | PowerOff | Fault], number: int) -> str:
+def _name(kind: type[Mode | HeldBy | LoadAtRest | PowerOff | Fault], number: int) -> str:
     try:
         return kind(number).name
     except ValueError:
@@ -227,6 +227,8 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "held_by_code": values["held_by"],
         "power_off": _name(PowerOff, values["power_off"]) if values["power_off"] else None,
         "power_off_code": values["power_off"],
+        "load_at_rest": _name(LoadAtRest, values["load_at_rest"]),
+        "load_at_rest_code": values["load_at_rest"],
         "fault": _name(Fault, values["fault"]) if values["fault"] else None,
         "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
@@ -315,6 +317,14 @@ DERIVED: Rows = (
         "UNCONFIRMED; null without such a command",
     ),
     ("power_off_code", "integer", "", "its number, as in the record"),
+    (
+        "load_at_rest",
+        "string",
+        "",
+        "what shows that the load has been at rest for 2 s: TENSION, STROKE or BOTH; else MOVES, or UNKNOWN if neither "
+        "is seen",
+    ),
+    ("load_at_rest_code", "integer", "", "its number, as in the record"),
     ("fault", "string?", "", "latched fault's name, null without one"),
     ("fault_code", "integer", "", "its number, as in the record; 0 none"),
     ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.config import quantity
-from rigctl.control.modes import PowerOff
+from rigctl.control.modes import LoadAtRest, PowerOff
 from rigctl.wire.trust import DEVICE_OF, doubts
 
 MODE_STYLE = {
@@ -52,6 +52,12 @@ def held(state: dict[str, Any]) -> str:
     if by == "UNKNOWN" or not isinstance(speed, int | float) or not isinstance(left, int | float):
         return words
     return f"{words}, which SLIPS by {abs(speed):.2f} mm/s: rope slack in {left:.0f} s"
+
+
+def at_rest(state: dict[str, Any]) -> str:
+    """Whether the load is at rest, and what shows it."""
+    shown = LoadAtRest.__members__.get(str(state.get("load_at_rest")), LoadAtRest.UNKNOWN)
+    return shown.words
 
 
 def drive(state: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ import pytest
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Refusal, Setting, Verb
+from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.supervision import Doing
@@ -18,6 +18,7 @@ NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {
     Mode: ("DISARMED=0 HOLD=1 TENSIONING=2 COMPENSATING=3 RELEASING=4 FAULT=5"),
     HeldBy: ("NOTHING=0 MOTOR=1 CLOSING=2 BRAKE=3 TAKING=4 UNKNOWN=5"),
     PowerOff: ("NONE=0 AWAITED=1 INPUT=2 HEARTBEAT=3 TENSION=4 STROKE=5 UNCONFIRMED=6"),
+    LoadAtRest: ("UNKNOWN=0 MOVES=1 TENSION=2 STROKE=3 BOTH=4"),
     Event: (
         "ENABLED=0 TENSION=1 TENSIONED=2 RELEASE=3 SLACK=4 HOLD=5 DISARM=6 TRIP=7 RESET_HELD=8 RESET_OFF=9 STOP=10 "
         "RAMP_DOWN=11 LOWER=12"
@@ -51,7 +52,7 @@ NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {
         "STROKE_LEFT=40 DRIVE_CREEPS=41 ESCALATION=42 CAUSE=45 CAUSE_OVER=46 FOREIGN_SDO=50 SETTING_LOST=51 "
         "READ_BACK=52 STROKE=53 BRAKE_TEST=55 LOCAL_HOLD=65 HOLD_SOCKET_CLOSED=66 CREEP=70 LOAD_STEP=71 SLACK_ZERO=72 "
         "SECOND_FORCE=73 MOVE=80 LEARNT=81 NOT_LEARNT=82 HELD=100 NO_MARGINS=101 MARGINS_DIFFER=104 POWER_OFF=102 "
-        "START_ANEW=120"
+        "LOAD_AT_REST=103 START_ANEW=120"
     ),
     Note: (
         "LEASE_TAKEN=1 LEASE_TAKEN_OVER=2 LEASE_RETURNED=3 LEASE_LAPSED=4 HOLD_WITHOUT_LEASE=5 "

@@ -82,6 +82,8 @@ def test_every_device_has_its_words_and_its_age() -> None:
     assert found["tension cell"]["age_ms"] is None
     assert "41 %" in found["bus"]["text"]
     assert rows(state(Mode.DISARMED, held_by="BRAKE"))["load"]["text"] == "held by the brake (inferred)"
+    assert rows(state(Mode.DISARMED, load_at_rest="BOTH"))["load at rest"]["text"] == "yes, by tension and stroke"
+    assert rows(state(Mode.DISARMED, load_at_rest="MOVES"))["load at rest"]["text"] == "no, or not for 2 s"
     slips = rows(state(Mode.FAULT, held_by="BRAKE", sink_mm_s=-0.3, slack_s=160.0))["load"]["text"]
     assert slips == "held by the brake (inferred), which SLIPS by 0.30 mm/s: rope slack in 160 s"
 

@@ -1,0 +1,77 @@
+"""Whether the load is at rest, and which measurement shows it: the tension, the stroke, or both.
+
+It is a value of its own beside what holds the load and whether the power is off: each may be so without the others.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rigctl.config.settings import RigSettings
+from rigctl.control.faults import Fault
+from rigctl.control.modes import REST_S, LoadAtRest
+from rigctl.control.snapshot import Snapshot
+
+REST_NS = round(REST_S * 1e9)
+REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
+_SMOOTH_S = 0.05  # of the cell's noise
+CELL_DOUBTED = frozenset(
+    {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL,
+     Fault.STRETCH_UNEXPLAINED, Fault.INNOVATION, Fault.CELL_FROZEN, Fault.LOAD_UNSEEN, Fault.SENSOR_EMERGENCY}
+)  # fmt: skip
+"""Faults after which a tension at rest shows nothing."""
+STROKE_DOUBTED = frozenset(
+    {Fault.ENCODER_STUCK, Fault.DRIVE_CONTRADICTS, Fault.POSITION_DRIFTS, Fault.STROKE_JUMPED, Fault.DRIVE_MOTIONLESS}
+)
+"""Faults after which a stroke at rest shows nothing."""
+
+
+class LoadRest:
+    """How long the tension has stayed where it is, and what shows that the load is at rest.
+
+    ``tension_seen``: the cell is alive and not in doubt. ``slack``: it shows no load. ``tension_ns``: time for which
+    the smoothed tension has stayed within `REST_MM` of stretch; 0 where it is not seen.
+    """
+
+    def __init__(self, settings: RigSettings) -> None:
+        self._rest_n = REST_MM * settings.plant.stiffness_n_mm
+        self._slack_n = settings.tension.slack_n
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._share = settings.loop.period_ns * 1e-9 / _SMOOTH_S
+        self._tension_n = self._reference_n = math.nan
+        self._from_ns = 0
+        self.tension_seen = self.slack = False
+        self.tension_ns = 0
+        self.shown = LoadAtRest.UNKNOWN
+
+    def look(self, fault: Fault, snapshot: Snapshot) -> LoadAtRest:
+        """One tick with ``fault`` latched."""
+        self.tension_seen = (
+            fault not in CELL_DOUBTED and not snapshot.cell_frozen
+            and snapshot.cell_quality == 0 and snapshot.cell_age_ns <= self._stale_ns
+        )  # fmt: skip
+        self.slack = self.tension_seen and snapshot.tension_n < self._slack_n
+        self.tension_ns = self._tension_at_rest_ns(snapshot)
+        by_tension = self.tension_seen and not self.slack
+        by_stroke = fault not in STROKE_DOUBTED and snapshot.drive_age_ns <= self._stale_ns
+        rests = [ns >= REST_NS for ns, by in ((self.tension_ns, by_tension), (snapshot.still_ns, by_stroke)) if by]
+        if not rests:
+            self.shown = LoadAtRest.UNKNOWN
+        elif not all(rests) or snapshot.sink_mm_s:
+            self.shown = LoadAtRest.MOVES
+        elif by_tension and by_stroke:
+            self.shown = LoadAtRest.BOTH
+        else:
+            self.shown = LoadAtRest.TENSION if by_tension else LoadAtRest.STROKE
+        return self.shown
+
+    def _tension_at_rest_ns(self, snapshot: Snapshot) -> int:
+        if not self.tension_seen:
+            self._tension_n = math.nan
+            return 0
+        if math.isnan(self._tension_n):
+            self._tension_n, self._reference_n = snapshot.tension_n, math.inf
+        self._tension_n += (snapshot.tension_n - self._tension_n) * self._share
+        if abs(self._tension_n - self._reference_n) > self._rest_n:
+            self._reference_n, self._from_ns = self._tension_n, snapshot.t_ns
+        return snapshot.t_ns - self._from_ns
