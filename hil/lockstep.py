@@ -122,6 +122,7 @@ class Lockstep:
                 correction=correction,
                 process_data=self.report.process_data,
                 watched=self.report.watched,
+                found=self.report.found,
                 last_stroke=last,
                 host_checks=host_checks,
                 holds=self.holds,

@@ -186,6 +186,7 @@ def run(directory: str) -> int:
         correction=correction,
         process_data=report.process_data,
         watched=report.watched,
+        found=report.found,
         last_stroke=last,
         cell_history=history,
         holds=holds,
@@ -207,7 +208,7 @@ def run(directory: str) -> int:
     )
     loop.run()
     anew = loop.machine.starts_anew
-    if loop.drive_off and not anew:
+    if loop.drive_off and not anew:  # else the drive keeps its supervision, which stops it
         bus.set_filters(None)
         startup.release(bus, settings, clock.now)
     bus.shutdown()

@@ -19,7 +19,7 @@ from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, M
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
-from rigctl.devices.objects import DriveState
+from rigctl.devices.objects import STATUSWORD, DriveState
 from rigctl.ipc.record import NEVER_AGE_NS
 
 
@@ -68,6 +68,7 @@ class Kind(IntEnum):
     MARGINS_DIFFER = 104  # value: |S| as measured, limit: the nearest that the design's family has
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply
     HOLD_SOCKET_CLOSED = 66  # a: user, b: process: it sent a descriptor along with a HOLD
+    FOUND_AT_START = 121  # a: node, b: index << 8, value: what a former controller left there, limit: as it is now
     START_ANEW = 120  # a: fault acknowledged; the loop ends, the next one starts all devices up
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
@@ -335,6 +336,15 @@ def _power_off(a: int, _b: int, value: float, _limit: float, _text: str) -> Word
     return Worded(severity, f"{shown.words}, {value:.1f} s after the command{hint}")
 
 
+def _found_at_start(_a: int, b: int, value: float, limit: float, _text: str) -> Worded:
+    index = b >> 8
+    if index == STATUSWORD:
+        found, left = (DriveState(int(state)).name.replace("_", " ") for state in (value, limit))
+        return Worded("warning", f"the drive was found in {found} at the start, and taken off power: {left}")
+    kept = f", and it keeps {limit:.0f}" if limit else ""
+    return Worded("warning", f"0x{index:04X} of the drive was found at {value:.0f} at the start, set to 0{kept}")
+
+
 def _load_at_rest(_a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
     shown = LoadAtRest(b)
     return Worded("info" if shown.rests else "warning", f"{text}: load at rest on the brake: {shown.words}")
@@ -516,6 +526,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.HELD: _held,
     Kind.POWER_OFF: _power_off,
     Kind.LOAD_AT_REST: _load_at_rest,
+    Kind.FOUND_AT_START: _found_at_start,
     Kind.CLOCK: lambda a, _b, _v, _l, _t: Worded("warning", f"{count(a, 'tick')} skipped at once"),
 }  # fmt: skip
 

@@ -38,8 +38,8 @@ from rigctl.control.signs import SignCheck
 from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
-from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import OFF_STATES, NmtState, drive_state
+from rigctl.devices.drive import Found, Power, next_controlword
+from rigctl.devices.objects import NmtState, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
@@ -79,6 +79,7 @@ class Loop:
         correction: Correction | None = None,
         process_data: ProcessData | None = None,
         watched: Sequence[Watched] = (),
+        found: Sequence[Found] = (),
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
         cell_history: CellHistory | None = None,
         holds: HoldSource | None = None,
@@ -88,6 +89,7 @@ class Loop:
         ``host_checks``: failing bits of `rigctl.control.checks.HOST_CHECKS`, until the gateway sends newer ones.
         ``law``: makes another law for comparison with ours; the law may read the inbox.
         ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
+        ``found``: what a former controller had left in the drive, for the record.
         ``process_data``: as start-up found it; None: as the rig file has it. ``last_stroke``: the last known stroke.
         ``cell_history``: of the cell's creep in the loop before; None: not known. ``holds``: HOLD from this computer's
         users; None: there are none.
@@ -137,6 +139,8 @@ class Loop:
         self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
+        for index, value, left in found:
+            logbook.event(started_ns, Kind.FOUND_AT_START, settings.cylinder.node, index << 8, value, left)
         self._orders.host_checks = host_checks
         if correction is not None:
             self._orders.overdue = correction.overdue
@@ -144,8 +148,8 @@ class Loop:
 
     @property
     def drive_off(self) -> bool:
-        """The newest statusword says that the drive is off, with its brake closed."""
-        return drive_state(self.inbox.statusword) in OFF_STATES
+        """The drive is seen to be off, its brake closed, and no power off has stayed without a confirmation."""
+        return self.observer.braked and self.observer.snapshot.power_off != PowerOff.UNCONFIRMED
 
     # -- the tick -----------------------------------------------------------------------------------------------
     def tick(self) -> None:

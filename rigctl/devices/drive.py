@@ -1,8 +1,9 @@
-"""Controlwords that lead the cylinder drive through the CiA 402 power states: pure tables."""
+"""Controlwords that lead the cylinder drive through the CiA 402 power states: pure tables; what a start found in it."""
 
 from __future__ import annotations
 
 from enum import IntEnum
+from typing import NamedTuple
 
 from rigctl.devices.objects import Controlword, DriveState
 
@@ -16,6 +17,17 @@ class Power(IntEnum):
     QUICK_STOP = 3  # stop on the drive's own ramp, then off
     CUT = 4  # off at once, even in motion: the brake is the last resort
     RESET_LOW = 5  # the word before that edge
+
+
+class Found(NamedTuple):
+    """A value that a former controller has left in the drive, and that which it has after the start.
+
+    Of the statusword (0x6041) it is the state, see `DriveState`.
+    """
+
+    index: int
+    value: int
+    left: int
 
 
 _TO_ON: dict[DriveState, Controlword] = {

@@ -17,6 +17,7 @@ from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
+from rigctl.devices.drive import Found
 from rigctl.devices.drive_at_start import DriveAtStart
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
@@ -67,13 +68,15 @@ class PlainDevice:
 class StartupReport:
     """Result of start-up; ``supervision`` holds the drive's own stop settings as read back.
 
-    ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`.
+    ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`. ``found``: what a
+    former controller had left in the drive.
     """
 
     devices: tuple[Device | PlainDevice, ...]
     supervision: tuple[StopSetting, ...]
     process_data: ProcessData
     watched: tuple[Watched, ...] = ()
+    found: tuple[Found, ...] = ()
 
     @property
     def supervised(self) -> bool:
@@ -200,7 +203,9 @@ def _configure(
         drive.watch(od.CYCLIC_SYNCHRONOUS_VELOCITY, od.MODE_DISPLAY)
     _start(bus, nodes.values(), say)
     watched = [item for node in (drive, *(n for n in nodes.values() if n is not drive)) for item in node.verified]
-    return StartupReport((*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched))
+    return StartupReport(
+        (*devices, *_plain_devices(settings)), supervision, process_data, tuple(watched), tuple(at_start.found)
+    )
 
 
 def _start(bus: StartupBus, nodes: Iterable[RemoteNode], say: Callable[[str], None]) -> None:

@@ -91,6 +91,8 @@ KINDS: dict[Kind, str] = {
     Kind.POWER_OFF: "a power off is confirmed, or is not in time; a: see power_off, value: s since the command",
     Kind.LOAD_AT_REST: "on the closed brake the load has begun to move, is not seen any more, or is at rest again; "
     "a: from, b: to, see load_at_rest, text: the mode",
+    Kind.FOUND_AT_START: "what a former controller had left in the drive; a: node, b: index << 8, value: it, limit: as "
+    "start-up has left it; of 0x6041 the drive's state",
     Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {

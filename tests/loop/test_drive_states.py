@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 
@@ -16,7 +17,11 @@ from hil.nodes.dictionary import Abort, refuse
 from hil.nodes.node import Node
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
+from rigctl.config.io_section import IoSettings
+from rigctl.config.rail_sections import RailEncoderSettings
+from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
+from rigctl.control.events import Kind, worded
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
@@ -104,7 +109,14 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
     if not operational:
         drive._enter(NmtState.PRE_OPERATIONAL)
     before_mm, found.sent[:] = found.rig.truth.stroke_mm, []
-    found.bring_up()
+    started, target = drive.control.state, drive._target
+    report = found.bring_up()
+    named = [item for item in report.found if item.index == od.STATUSWORD]
+    assert [item.value for item in named] == ([started] if left is not in_a_fault_reaction else [])
+    assert all(DriveState(item.left) in NOT_POWERED for item in named)
+    assert [item for item in report.found if item.index == od.TARGET_VELOCITY] == (
+        [(od.TARGET_VELOCITY, target, 0)] if target else []
+    )
     assert drive.control.state in NOT_POWERED
     assert drive.control.stage.phase is StagePhase.BRAKED
     assert abs(found.rig.truth.stroke_mm - before_mm) < WORST_MM
@@ -158,12 +170,25 @@ def test_a_drive_that_never_answers_gets_nmt_stop_and_is_named(settings: RigSett
     assert found.nmt() == [0x80, od.NMT_STOP]
 
 
-@pytest.mark.gate("cylinder-once", "tension_cell-three times", "inclinometer-twice")
+def fitted(settings: RigSettings, name: str) -> RigSettings:
+    """The rig file with the device of the section ``name``."""
+    sections = {
+        "io": IoSettings(e_stop_input=9),
+        "rail_encoder": RailEncoderSettings(counts_per_turn=1 << 20),
+        "second_force": SecondForceSettings(
+            kind="cell", u_n=0.1, cell_u_n=0.05, disagree_n=0.5, fuse_s=1.0, rate_hz=50
+        ),
+    }
+    return settings.model_copy(update={name: sections[name]}) if name in sections else settings
+
+
+@pytest.mark.gate("cylinder-once", "tension_cell-three times", "inclinometer-twice", "io-once")
 @pytest.mark.parametrize("refused", [1, 2, 3], ids=["once", "twice", "three times"])
-@pytest.mark.parametrize("name", ["tension_cell", "inclinometer", "cylinder"])
+@pytest.mark.parametrize("name", ["tension_cell", "inclinometer", "cylinder", "io", "rail_encoder", "second_force"])
 def test_an_nmt_start_that_is_not_taken_is_repeated(
     settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch, name: str, refused: int
 ) -> None:
+    settings = fitted(settings, name)
     node, left, enter = getattr(settings, name).node, [refused], Node._enter
 
     def entered(self: Node, state: NmtState) -> None:
@@ -175,11 +200,11 @@ def test_an_nmt_start_that_is_not_taken_is_repeated(
     monkeypatch.setattr(Node, "_enter", entered)
     with lockstep(settings, gains) as rig:
         rig.run(2.0)
-        wanted = Refusal.NONE if refused < 3 else Refusal.PREFLIGHT
-        assert rig.command(Verb.ARM) is wanted
+        assert rig.loop.inbox.states[node] == (NmtState.OPERATIONAL if refused < 3 else NmtState.PRE_OPERATIONAL)
+        if name == "second_force":  # without a zero on the ledger it bars arming in any case
+            return
+        assert rig.command(Verb.ARM) is (Refusal.NONE if refused < 3 else Refusal.PREFLIGHT)
         assert rig.loop.machine.mode is (Mode.HOLD if refused < 3 else Mode.DISARMED)
-        if refused == 3:  # named, and the remedy works: a start anew
-            assert rig.loop.inbox.states[node] == NmtState.PRE_OPERATIONAL
 
 
 def test_an_error_that_outlives_its_cause_ends_with_a_reset_of_the_communication(
@@ -202,3 +227,20 @@ def test_an_error_that_outlives_its_cause_ends_with_a_reset_of_the_communication
     assert "0x8250, RPDO timeout" in line and "node 4" in line
     assert drive.nmt_state is NmtState.OPERATIONAL
     assert not math.isnan(found.rig.truth.stroke_mm)
+
+
+def test_what_a_start_found_is_on_record(settings: RigSettings, gains: Gains, monkeypatch: pytest.MonkeyPatch) -> None:
+    made = CylinderDrive.__init__
+
+    def with_a_target(self: CylinderDrive, *arguments: Any, **options: Any) -> None:
+        made(self, *arguments, **options)
+        self._target = 20_000
+
+    monkeypatch.setattr(CylinderDrive, "__init__", with_a_target)
+    with lockstep(settings, gains) as rig:
+        rig.run(0.1)
+        (event,) = [event for event in rig.events.read() if event["kind"] == Kind.FOUND_AT_START]
+        kind, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+    said = worded(kind, a, b, value, limit, text.decode())
+    assert said.text == "0x60FF of the drive was found at 20000 at the start, set to 0"
+    assert said.severity == "warning"

@@ -18,6 +18,7 @@ from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
+from tests.builders.loop_frames import stop_node
 
 WAIT_S = WAIT_NS * 1e-9
 
@@ -134,6 +135,27 @@ def test_a_load_that_moves_again_with_the_motor_withdraws_it(rig: Lockstep) -> N
     rig.run(1.0)
     assert shown(rig) is PowerOff.UNCONFIRMED
     assert len(reported(rig)) == 1
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_drive_that_is_not_shown_to_be_off_keeps_its_supervision(rig: Lockstep) -> None:
+    """What `rigctl.control.control_process` asks before it ends the supervision at the end of a loop."""
+    rig.rig.drive.hung = True
+    cut(rig)
+    rig.run(WAIT_S + 0.5)
+    assert shown(rig) is PowerOff.UNCONFIRMED
+    rig.loop.stop_requested = True
+    while not rig.loop.finished:
+        rig.tick()
+    assert not rig.loop.drive_off
+
+
+def test_one_that_is_not_heard_keeps_it_too(rig: Lockstep) -> None:
+    rig.run(1.0)
+    assert rig.loop.drive_off
+    stop_node(rig, rig.settings.cylinder.node)
+    rig.run(0.1)
+    assert not rig.loop.drive_off
 
 
 def test_the_drives_feedback_at_the_io_node_confirms_it_at_once(fitted: Lockstep) -> None:
