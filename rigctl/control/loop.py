@@ -38,7 +38,7 @@ from rigctl.control.signs import SignCheck
 from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
-from rigctl.devices.drive import Found, Power, next_controlword
+from rigctl.devices.drive import LeftInDrive, Power, next_controlword
 from rigctl.devices.objects import NmtState, drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
@@ -79,7 +79,7 @@ class Loop:
         correction: Correction | None = None,
         process_data: ProcessData | None = None,
         watched: Sequence[Watched] = (),
-        found: Sequence[Found] = (),
+        found: Sequence[LeftInDrive] = (),
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
         cell_history: CellHistory | None = None,
         holds: HoldSource | None = None,

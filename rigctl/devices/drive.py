@@ -19,7 +19,7 @@ class Power(IntEnum):
     RESET_LOW = 5  # the word before that edge
 
 
-class Found(NamedTuple):
+class LeftInDrive(NamedTuple):
     """A value that a former controller has left in the drive, and that which it has after the start.
 
     Of the statusword (0x6041) it is the state, see `DriveState`.

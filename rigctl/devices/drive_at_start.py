@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import NoReturn
 
 from rigctl.devices import objects as od
-from rigctl.devices.drive import Found
+from rigctl.devices.drive import LeftInDrive
 from rigctl.devices.objects import Controlword, DriveState, drive_state
 from rigctl.devices.remote_node import RemoteNode, SilentError, StartupError
 from rigctl.devices.startup_bus import StartupBus
@@ -30,7 +30,7 @@ class DriveAtStart:
     def __init__(self, bus: StartupBus, drive: RemoteNode, brake_s: float, say: Callable[[str], None]) -> None:
         """``brake_s``: time that its brake takes to close. ``say``: called with one line for what was found."""
         self._bus, self._drive, self._brake_s, self._say = bus, drive, brake_s, say
-        self.found: list[Found] = []
+        self.found: list[LeftInDrive] = []
 
     def state(self) -> DriveState:
         """0x6041 now."""
@@ -81,7 +81,7 @@ class DriveAtStart:
             self._give_up(str(error))
         if left in POWERED:
             self._give_up(f"{self._drive.name} stays in {left.name.replace('_', ' ')} after disable voltage")
-        self.found.append(Found(od.STATUSWORD, found, left))
+        self.found.append(LeftInDrive(od.STATUSWORD, found, left))
 
     def clear_targets(self) -> None:
         """Set target velocity and velocity offset to 0, which a former controller may have left.
@@ -92,7 +92,7 @@ class DriveAtStart:
             if self._drive.has(index) and (value := self._drive.read(index)):
                 self._drive.write(0, index, verify=False)
                 left = self._drive.read(index)
-                self.found.append(Found(index, value, left))
+                self.found.append(LeftInDrive(index, value, left))
                 kept = f", and it keeps {left}" if left else ""
                 self._say(f"{self._drive.where(index, 0)}: found {value} of a former controller, set to 0{kept}")
 

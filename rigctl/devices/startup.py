@@ -17,7 +17,7 @@ from rigctl.config.io_section import INPUTS_PER_BLOCK, IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from rigctl.devices import objects as od
-from rigctl.devices.drive import Found
+from rigctl.devices.drive import LeftInDrive
 from rigctl.devices.drive_at_start import DriveAtStart
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.devices.process_data import (
@@ -76,7 +76,7 @@ class StartupReport:
     supervision: tuple[StopSetting, ...]
     process_data: ProcessData
     watched: tuple[Watched, ...] = ()
-    found: tuple[Found, ...] = ()
+    found: tuple[LeftInDrive, ...] = ()
 
     @property
     def supervised(self) -> bool:
