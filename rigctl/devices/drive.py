@@ -25,7 +25,7 @@ class LeftInDrive(NamedTuple):
     Of the statusword (0x6041) it is the state, see `DriveState`.
     """
 
-    index: int
+    object_index: int
     value: int
     left: int
 

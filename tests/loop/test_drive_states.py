@@ -110,10 +110,10 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
     before_mm, found.sent[:] = found.rig.truth.stroke_mm, []
     started, target = drive.control.state, drive._target
     report = found.bring_up()
-    named = [item for item in report.found if item.index == od.STATUSWORD]
+    named = [item for item in report.found if item.object_index == od.STATUSWORD]
     assert [item.value for item in named] == ([started] if left is not in_a_fault_reaction else [])
     assert all(DriveState(item.left) in NOT_POWERED for item in named)
-    assert [item for item in report.found if item.index == od.TARGET_VELOCITY] == (
+    assert [item for item in report.found if item.object_index == od.TARGET_VELOCITY] == (
         [(od.TARGET_VELOCITY, target, 0)] if target else []
     )
     assert drive.control.state in NOT_POWERED
