@@ -339,14 +339,15 @@ def _power_off(a: int, _b: int, value: float, _limit: float, _text: str) -> Word
 def _found_at_start(_a: int, b: int, value: float, limit: float, _text: str) -> Worded:
     index = b >> 8
     if index == STATUSWORD:
-        found, left = (DriveState(int(state)).name.replace("_", " ") for state in (value, limit))
+        names = {float(state): state.name.replace("_", " ") for state in DriveState}
+        found, left = (names.get(state, "no state of CiA 402") for state in (value, limit))
         return Worded("warning", f"the drive was found in {found} at the start, and taken off power: {left}")
     kept = f", and it keeps {limit:.0f}" if limit else ""
     return Worded("warning", f"0x{index:04X} of the drive was found at {value:.0f} at the start, set to 0{kept}")
 
 
 def _load_at_rest(_a: int, b: int, _value: float, _limit: float, text: str) -> Worded:
-    shown = LoadAtRest(b)
+    shown = LoadAtRest(b) if b in LoadAtRest._value2member_map_ else LoadAtRest.UNKNOWN
     return Worded("info" if shown.rests else "warning", f"{text}: load at rest on the brake: {shown.words}")
 
 

@@ -54,10 +54,11 @@ class LoadRest:
         self.tension_ns = self._tension_at_rest_ns(snapshot)
         by_tension = self.tension_seen and not self.slack
         by_stroke = fault not in STROKE_DOUBTED and snapshot.drive_age_ns <= self._stale_ns
-        rests = [ns >= REST_NS for ns, by in ((self.tension_ns, by_tension), (snapshot.still_ns, by_stroke)) if by]
-        if not rests:
+        tension_moves = by_tension and self.tension_ns < REST_NS
+        stroke_moves = by_stroke and snapshot.still_ns < REST_NS
+        if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN
-        elif not all(rests) or snapshot.sink_mm_s:
+        elif tension_moves or stroke_moves or snapshot.sink_mm_s:
             self.shown = LoadAtRest.MOVES
         elif by_tension and by_stroke:
             self.shown = LoadAtRest.BOTH

@@ -5,11 +5,22 @@ from __future__ import annotations
 import pytest
 
 from hil.lockstep import Lockstep
+from rigctl.control.events import Kind, worded
 from rigctl.devices import objects as od
 
 
 def events(rig: Lockstep) -> list[int]:
     return [int(slot["kind"]) for slot in rig.events.read()]
+
+
+def texts(rig: Lockstep, kind: Kind) -> list[str]:
+    """The events of a kind since the last call, in words."""
+    found = []
+    for event in rig.events.read():
+        number, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
+        if number == kind:
+            found.append(worded(number, a, b, value, limit, text.decode()).text)
+    return found
 
 
 def stop_node(rig: Lockstep, node: int) -> None:

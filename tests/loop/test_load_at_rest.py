@@ -11,12 +11,12 @@ from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
+from rigctl.control.events import Kind
 from rigctl.control.load_at_rest import REST_NS
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode
 from rigctl.control.tension import Gains
 from tests.builders.branches import Started
-from tests.builders.loop_frames import stop_node
+from tests.builders.loop_frames import stop_node, texts
 
 ENCODER_STUCK = both(stuck(STROKE), reads(SPEED, times=0.0))
 REST_S = REST_NS * 1e-9
@@ -43,19 +43,10 @@ def shown(rig: Lockstep) -> LoadAtRest:
     return LoadAtRest(int(rig.run(0.01)["load_at_rest"][-1]))
 
 
-def reported(rig: Lockstep) -> list[str]:
-    found = []
-    for event in rig.events.read():
-        kind, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
-        if kind == Kind.LOAD_AT_REST:
-            found.append(worded(kind, a, b, value, limit, text.decode()).text)
-    return found
-
-
 def test_a_parked_load_rests_by_tension_and_stroke(parked: Lockstep) -> None:
     assert shown(parked) is LoadAtRest.BOTH
     assert parked.loop.observer.snapshot.held_by is HeldBy.BRAKE
-    assert reported(parked) == []
+    assert texts(parked, Kind.LOAD_AT_REST) == []
 
 
 @pytest.mark.parametrize(
@@ -96,8 +87,8 @@ def test_a_brake_that_slips_is_no_rest_within_the_time_stated(
     called = parked.run(2.0 * REST_S)["load_at_rest"]
     assert abs(parked.rig.truth.stroke_mm - before_mm) > RESTS_MM
     assert (called[round(REST_S * parked.settings.loop.rate_hz) :] == LoadAtRest.MOVES).all()
-    assert "load at rest on the brake: no" in reported(parked)[0]
+    assert "load at rest on the brake: no" in texts(parked, Kind.LOAD_AT_REST)[0]
     parked.rig.drive.brake.slip_mm_s = 0.0
     parked.run(10.0)
     assert shown(parked) in (LoadAtRest.STROKE, LoadAtRest.BOTH, LoadAtRest.TENSION)
-    assert "yes, by" in reported(parked)[-1]
+    assert "yes, by" in texts(parked, Kind.LOAD_AT_REST)[-1]

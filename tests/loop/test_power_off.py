@@ -12,28 +12,19 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
+from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
-from tests.builders.loop_frames import stop_node
+from tests.builders.loop_frames import stop_node, texts
 
 WAIT_S = WAIT_NS * 1e-9
 
 
 def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING, action: Action = Action.POWER_OFF) -> None:
     rig.loop.machine.trip(Trip(fault, 1.0, 0.5, action), rig.clock.now())
-
-
-def reported(rig: Lockstep) -> list[str]:
-    found = []
-    for event in rig.events.read():
-        kind, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
-        if kind == Kind.POWER_OFF:
-            found.append(worded(kind, a, b, value, limit, text.decode()).text)
-    return found
 
 
 def shown(rig: Lockstep) -> PowerOff:
@@ -73,7 +64,7 @@ def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
     assert shown(rig) is PowerOff.TENSION
     assert without_power(rig)
     assert moves_mm(rig) < 0.01
-    (line,) = reported(rig)
+    (line,) = texts(rig, Kind.POWER_OFF)
     assert "confirmed by the drive's state and a tension at rest" in line
 
 
@@ -95,7 +86,7 @@ def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep
     assert rig.loop.machine.action >= Action.POWER_OFF
     assert not without_power(rig)
     assert shown(rig) is PowerOff.UNCONFIRMED
-    (line,) = reported(rig)
+    (line,) = texts(rig, Kind.POWER_OFF)
     assert "UNCONFIRMED" in line
     assert "emergency stop" in line
 
@@ -134,7 +125,7 @@ def test_a_load_that_moves_again_with_the_motor_withdraws_it(rig: Lockstep) -> N
     rig.rig.drive.defect = lambda _speed, _held: (-0.5, False)
     rig.run(1.0)
     assert shown(rig) is PowerOff.UNCONFIRMED
-    assert len(reported(rig)) == 1
+    assert len(texts(rig, Kind.POWER_OFF)) == 1
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

@@ -1,6 +1,6 @@
 """A start with one frame lost, or refused by the send queue, at each of its steps: it comes up, or names the cause.
 
-Also a bus that nobody acknowledges until the devices boot, and one that goes down at a step.
+Also a bus on which no device acknowledges until the devices boot, and one that goes down at a step.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Outcome(NamedTuple):
 
 
 def lost(ours: bool, number: int) -> Loss:
-    """The frame of this number in one direction reaches nobody."""
+    """The frame of this number in one direction is lost."""
     return lambda by_us, at, frame: [] if (by_us, at) == (ours, number) else [frame]
 
 
@@ -158,7 +158,7 @@ class Unacknowledged(RigOnHub):
         super()._pass_time(arrived, seconds)
 
 
-def test_a_bus_that_nobody_acknowledges_until_the_devices_boot_comes_up(settings: RigSettings) -> None:
+def test_a_bus_without_acknowledgement_until_the_devices_boot_comes_up(settings: RigSettings) -> None:
     rig = Unacknowledged(settings, START_NS + 6e9)
     report = rig.bring_up()
     assert report.supervised
@@ -169,7 +169,7 @@ def test_a_bus_that_nobody_acknowledges_until_the_devices_boot_comes_up(settings
     assert all(node.nmt_state is od.NmtState.OPERATIONAL for node in rig.rig.nodes if node.id < 100)
 
 
-def test_one_that_nobody_ever_acknowledges_is_given_up_with_the_likely_cause(settings: RigSettings) -> None:
+def test_one_that_stays_without_is_given_up_with_the_likely_cause(settings: RigSettings) -> None:
     short = changed(settings, can={"boot_wait_s": 4.0})
     rig = Unacknowledged(short, float("inf"))
     with pytest.raises(StartupError) as raised:
