@@ -11,6 +11,8 @@ PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
 SOAK ?= 1h
 BASE ?= main
+# Where the environment forbids bytecode, each of the tests' many processes would compile the whole program anew.
+unexport PYTHONDONTWRITEBYTECODE
 GATE := not real_time and not study and not long
 REAL_TIME := tests/guest tests/live tests/loop/test_pytest_plugin.py
 
@@ -84,8 +86,8 @@ system:
 $(STAMP): pyproject.toml constraints.txt
 	test -x $(PYTHON) || python3 -m venv $(VENV) || { tests/guest/apt python3-venv && python3 -m venv $(VENV); }
 	@echo "setting up $(VENV), which takes a minute or two:"
-	set -o pipefail; tests/guest/thrice $(PYTHON) -m pip install --progress-bar off --disable-pip-version-check -c constraints.txt \
-	    -e '.[dev]' | sed -u -n -e 's/^Collecting \([^ ]*\).*/  package \1/p' -e 's/^Installing collected.*/  installing/p'
+	set -o pipefail; tests/guest/thrice $(PYTHON) -m pip install --no-compile --progress-bar off --disable-pip-version-check \
+	    -c constraints.txt -e '.[dev]' | sed -u -n -e 's/^Collecting \([^ ]*\).*/  package \1/p' -e 's/^Installing collected.*/  installing/p'
 	$(PYTHON) -m hil.plant
 	touch $@
 

@@ -30,9 +30,11 @@ REAL_TIME = ("guest", "live/system")
 STUDIES = ("studies", "loop/test_identify.py", "loop/test_uneven_rail.py", "loop/test_devices_as_sold.py", "live")
 """Where tests take minutes of simulated time, or start processes that no pause of the host can trip."""
 
-# What a change is judged by is the same every time; `make fuzz` looks for more.
+# What a change is judged by is the same every time, and short; `make fuzz` looks for more.
 # `deadline` and the health check `too_slow` measure this computer's clock.
-settings.register_profile("rigctl", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+settings.register_profile(
+    "rigctl", deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True, max_examples=40
+)
 settings.register_profile("search", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("rigctl")
 

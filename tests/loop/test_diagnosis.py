@@ -30,6 +30,10 @@ def bench(settings: RigSettings, gains: Gains) -> Bench:
     return Bench(settings, gains)
 
 
+@pytest.mark.gate(
+    "rope_breaks-3-parts0", "cell_sign-3-parts3", "slope_jump-3-parts5", "brake_stuck_closed-3-parts9",
+    "controller_hangs-3-parts10", "burst_50ms-3-parts12",
+)  # fmt: skip
 @pytest.mark.parametrize(
     ("fault_id", "mode", "parts"),
     [

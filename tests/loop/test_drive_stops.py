@@ -39,7 +39,7 @@ def carried(rig: Lockstep, seconds: float = 1.0) -> bool:
     return braked(rig) and rig.rig.truth.stroke_mm == before
 
 
-@pytest.mark.gate("1", "4")
+@pytest.mark.gate("4")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(rig: Lockstep, mode: Mode) -> None:

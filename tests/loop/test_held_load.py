@@ -91,7 +91,7 @@ def held_by(request: pytest.FixtureRequest, settings: RigSettings) -> RigSetting
     return of_spring(settings, request.param)
 
 
-@pytest.mark.gate("6 N/mm-0.05-300.0", "6 N/mm--0.4-300.0", "34 N/mm-0.4-350.0")
+@pytest.mark.gate("6 N/mm--0.4-300.0", "34 N/mm-0.4-350.0")
 @pytest.mark.parametrize(("speed", "tension_n"), [(0.05, 300.0), (-0.1, 350.0), (0.4, 350.0), (-0.4, 300.0)])
 def test_a_creep_that_a_stuck_encoder_hides_is_parked(
     held_by: RigSettings, gains: Gains, speed: float, tension_n: float
@@ -104,7 +104,7 @@ def test_a_creep_that_a_stuck_encoder_hides_is_parked(
         assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.STRETCH_UNEXPLAINED, Action.POWER_OFF)
 
 
-@pytest.mark.gate("6 N/mm--0.3-true", "6 N/mm--0.3-frozen", "34 N/mm--0.3-silent")
+@pytest.mark.gate("6 N/mm--0.3-frozen", "34 N/mm--0.3-silent")
 @pytest.mark.parametrize("cell", ["true", "frozen", "silent"])
 @pytest.mark.parametrize("speed", [pytest.param(0.1, marks=pytest.mark.long), -0.3])
 def test_an_encoder_that_drifts_takes_the_load_nowhere_whatever_the_cell_says(
@@ -124,7 +124,7 @@ def test_an_encoder_that_drifts_takes_the_load_nowhere_whatever_the_cell_says(
         assert rig.loop.machine.action is Action.POWER_OFF
 
 
-@pytest.mark.gate("6 N/mm-0.05", "6 N/mm-0.5", "34 N/mm-0.2")
+@pytest.mark.gate("6 N/mm-0.5", "34 N/mm-0.2")
 @pytest.mark.parametrize("speed", [0.05, 0.2, 0.5])
 def test_a_brake_that_slips_unseen_by_the_encoder_is_a_fault_while_disarmed(
     held_by: RigSettings, gains: Gains, speed: float

@@ -139,6 +139,7 @@ def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig:
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 
+@pytest.mark.gate("2", "4")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(rig: Lockstep, mode: Mode) -> None:

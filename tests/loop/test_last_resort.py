@@ -183,7 +183,7 @@ def test_without_sync_the_drive_is_stopped_from_its_last_speed(rig: Lockstep) ->
     assert kill_and_see_mm(rig) == 0.0
 
 
-@pytest.mark.gate("1", "2")
+@pytest.mark.gate("2")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_a_drive_that_ignores_its_commands_is_left_to_its_own_supervision(rig: Lockstep, mode: Mode) -> None:

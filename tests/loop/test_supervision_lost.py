@@ -56,6 +56,7 @@ def said(rig: Lockstep) -> list[str]:
     return found
 
 
+@pytest.mark.gate("4118-1-4", "24583-0-2")
 @pytest.mark.parametrize(("index", "sub", "size"), WRITES)
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_another_masters_write_is_a_rival_and_named_with_its_value(
@@ -72,6 +73,7 @@ def test_another_masters_write_is_a_rival_and_named_with_its_value(
     assert any(text.startswith(f"trip RIVAL: another controller {words}") for text in told)
 
 
+@pytest.mark.gate("5120-5-2")
 @pytest.mark.parametrize(("index", "sub", "size"), WRITES)
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_what_it_wrote_keeps_the_fault_and_refuses_the_next_arm(rig: Lockstep, index: int, sub: int, size: int) -> None:

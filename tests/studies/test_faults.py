@@ -14,7 +14,7 @@ from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE
 from hil.faults.expected import ARMED, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
-from hil.faults.lockstep_run import Bench
+from hil.faults.lockstep_run import Bench, by_start
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
 from rigctl.control import modes, safety
@@ -93,54 +93,57 @@ def test_the_page_has_every_fault_as_the_table_has_it() -> None:
 
 
 # -- rows, played ---------------------------------------------------------------------------------------------------
+PLAYED = [
+    ("cell_silent", Mode.COMPENSATING),
+    ("take_back_200_creeps", Mode.HOLD),
+    ("cell_silent", Mode.FAULT),
+    ("cell_nan", Mode.RELEASING),
+    ("cell_overload", Mode.DISARMED),
+    ("slope_invalid", Mode.HOLD),
+    ("frames_lost_1pct", Mode.COMPENSATING),
+    ("burst_50ms", Mode.TENSIONING),
+    ("length_wrong_1pct", Mode.HOLD),
+    ("foreign_ids", Mode.COMPENSATING),
+    ("bus_off", Mode.COMPENSATING),
+    ("io_e_stop", Mode.COMPENSATING),
+    ("io_e_stop", Mode.FAULT),
+    ("io_e_stop_bounces", Mode.DISARMED),
+    ("io_silent", Mode.RELEASING),
+    ("io_reboots", Mode.TENSIONING),
+    ("foreign_abort_option", Mode.COMPENSATING),
+    ("lost_heartbeat_watch", Mode.TENSIONING),
+    ("sdo_silent", Mode.DISARMED),
+    ("encoder_restarts", Mode.COMPENSATING),
+    ("encoder_restarts", Mode.DISARMED),
+    ("drive_trips", Mode.COMPENSATING),
+    ("rope_breaks", Mode.COMPENSATING),
+    ("payload_bumped", Mode.COMPENSATING),
+    ("power_dip", Mode.HOLD),
+    ("controller_hangs", Mode.COMPENSATING),
+    ("sync_lost", Mode.COMPENSATING),
+    ("rpdo_frozen", Mode.HOLD),
+    ("sync_unheard_while_opening", Mode.DISARMED),
+    ("drive_frozen_while_enabling", Mode.DISARMED),
+    ("sync_twice", Mode.COMPENSATING),
+    ("foreign_sync_id", Mode.TENSIONING),
+    ("lost_polarity", Mode.COMPENSATING),
+    ("rpdo_ignored", Mode.RELEASING),
+    ("rpdo_late", Mode.TENSIONING),
+    ("controlword_slow_stop", Mode.TENSIONING),
+    ("switched_on_persists", Mode.HOLD),
+    ("enabling_refused", Mode.HOLD),
+    ("drive_boots", Mode.COMPENSATING),
+    ("drive_refuses_start_while_opening", Mode.DISARMED),
+    ("drive_back_in_error", Mode.TENSIONING),
+    ("torque_late", Mode.HOLD),
+    ("torque_lost", Mode.FAULT),
+    ("torque_lost_free", Mode.COMPENSATING),
+]
+"""One row of each kind."""
+
+
 @pytest.mark.parametrize(
-    ("name", "mode"),
-    [
-        ("cell_silent", Mode.COMPENSATING),
-        ("take_back_200_creeps", Mode.HOLD),
-        ("cell_silent", Mode.FAULT),
-        ("cell_nan", Mode.RELEASING),
-        ("cell_overload", Mode.DISARMED),
-        ("slope_invalid", Mode.HOLD),
-        ("frames_lost_1pct", Mode.COMPENSATING),
-        ("burst_50ms", Mode.TENSIONING),
-        ("length_wrong_1pct", Mode.HOLD),
-        ("foreign_ids", Mode.COMPENSATING),
-        ("bus_off", Mode.COMPENSATING),
-        ("io_e_stop", Mode.COMPENSATING),
-        ("io_e_stop", Mode.FAULT),
-        ("io_e_stop_bounces", Mode.DISARMED),
-        ("io_silent", Mode.RELEASING),
-        ("io_reboots", Mode.TENSIONING),
-        ("foreign_abort_option", Mode.COMPENSATING),
-        ("lost_heartbeat_watch", Mode.TENSIONING),
-        ("sdo_silent", Mode.DISARMED),
-        ("encoder_restarts", Mode.COMPENSATING),
-        ("encoder_restarts", Mode.DISARMED),
-        ("drive_trips", Mode.COMPENSATING),
-        ("rope_breaks", Mode.COMPENSATING),
-        ("payload_bumped", Mode.COMPENSATING),
-        ("power_dip", Mode.HOLD),
-        ("controller_hangs", Mode.COMPENSATING),
-        ("sync_lost", Mode.COMPENSATING),
-        ("rpdo_frozen", Mode.HOLD),
-        ("sync_unheard_while_opening", Mode.DISARMED),
-        ("drive_frozen_while_enabling", Mode.DISARMED),
-        ("sync_twice", Mode.COMPENSATING),
-        ("foreign_sync_id", Mode.TENSIONING),
-        ("lost_polarity", Mode.COMPENSATING),
-        ("rpdo_ignored", Mode.RELEASING),
-        ("rpdo_late", Mode.TENSIONING),
-        ("controlword_slow_stop", Mode.TENSIONING),
-        ("switched_on_persists", Mode.HOLD),
-        ("enabling_refused", Mode.HOLD),
-        ("drive_boots", Mode.COMPENSATING),
-        ("drive_refuses_start_while_opening", Mode.DISARMED),
-        ("drive_back_in_error", Mode.TENSIONING),
-        ("torque_late", Mode.HOLD),
-        ("torque_lost", Mode.FAULT),
-        ("torque_lost_free", Mode.COMPENSATING),
-    ],
+    ("name", "mode"), [(fault.id, mode) for fault, mode in by_start((BY_ID[name], mode) for name, mode in PLAYED)]
 )
 def test_it_comes_to_what_is_expected(bench: Bench, name: str, mode: Mode) -> None:
     found = row(bench, name, mode)

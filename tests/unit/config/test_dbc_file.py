@@ -354,7 +354,7 @@ def test_bus_load_counts_plain_frames_at_their_cycle_time_or_the_loops_rate(writ
     assert found["inclination (Inclination)"] == 1000.0
 
 
-@run_with(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@run_with(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(place=st.integers(0, len(DBC) - 1), cut=st.integers(0, 30), put=st.text(max_size=8))
 def test_a_damaged_dbc_file_is_read_or_refused_in_one_line(
     tmp_path_factory: pytest.TempPathFactory, place: int, cut: int, put: str
