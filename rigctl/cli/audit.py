@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, end, load_rig_file, say, say_json
 from rigctl.config.quantity import count
 
 if TYPE_CHECKING:
@@ -46,6 +46,7 @@ Named = Annotated[
     str | None, typer.Option("--what", metavar="TEXT", help="show: only what is called so (a part of it).")
 ]
 By = Annotated[str | None, typer.Option("--who", metavar="NAME", help="show: only what this operator did.")]
+AsJson = Annotated[bool, typer.Option("--json", help="verify: print JSON; show: one JSON object in each line.")]
 
 
 def audit(
@@ -56,7 +57,7 @@ def audit(
     since: Since = None,
     what: Named = None,
     who: By = None,
-    json: Json = False,
+    json: AsJson = False,
 ) -> None:
     """Verify the audit log's chain of hashes, or show what is in it.
 

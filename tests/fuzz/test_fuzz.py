@@ -39,7 +39,7 @@ def gains(settings: RigSettings) -> Gains:
 def test_whatever_comes_from_the_bus_what_leaves_for_the_drive_is_finite_and_inside_its_limits(
     settings: RigSettings, gains: Gains
 ) -> None:
-    runs = [frames.play(settings, gains, 100_000, seed=seed) for seed in (3, 4)]  # one run trips in few ways
+    runs = [frames.play(settings, gains, 50_000, seed=seed) for seed in (3, 4)]  # one run trips in few ways
     modes, faults = set[str]().union(*(run.modes for run in runs)), set[str]().union(*(run.faults for run in runs))
     assert [run.wrong for run in runs] == [[], []]
     assert modes == {mode.name for mode in Mode}, "they reached every mode"
@@ -51,7 +51,7 @@ def test_whatever_an_io_node_sends_what_leaves_for_the_drive_stays_inside_its_li
     settings: RigSettings, gains: Gains
 ) -> None:
     fitted = settings.model_copy(update={"io": IoSettings(e_stop_input=3)})
-    runs = [frames.play(fitted, gains, 60_000, seed=seed) for seed in (5, 6)]  # not every run trips by its input
+    runs = [frames.play(fitted, gains, 30_000, seed=seed) for seed in (5, 6)]  # not every run trips by its input
     modes, faults = set[str]().union(*(run.modes for run in runs)), set[str]().union(*(run.faults for run in runs))
     assert [run.wrong for run in runs] == [[], []]
     assert modes >= {"HOLD", "TENSIONING", "FAULT"}
@@ -68,7 +68,7 @@ def test_a_command_is_refused_in_one_line_or_does_what_a_command_may(settings: R
 
 
 def test_a_file_is_taken_or_refused_in_plain_lines() -> None:
-    found = files.play(250, 40, 1, seed=1)
+    found = files.play(120, 20, 1, seed=1)
     assert found.wrong == []
     for name in ("rig file", "scenario", "DBC file", "calibration ledger", "gain file"):
         assert 0 < found.taken[name] < found.tried[name]
