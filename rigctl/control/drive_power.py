@@ -2,18 +2,8 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-
-from rigctl.control.modes import HeldBy
+from rigctl.control.modes import DrivePower, HeldBy
 from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, DriveState, drive_state
-
-
-class DrivePower(StrEnum):
-    """Whether the motor may have torque; the value is what the screens show."""
-
-    OFF = "off"  # it has reported a state without power for as long as its brake takes to close
-    STOPPING = "stopping"  # on its way there by itself
-    NOT_OFF = "not off"
 
 
 def drive_shown(statusword: int, held_by: int) -> tuple[DriveState, DrivePower]:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.config import quantity
-from rigctl.control.drive_power import DrivePower
-from rigctl.control.modes import LoadAtRest, PowerOff
+from rigctl.control.modes import DrivePower, LoadAtRest, PowerOff
 from rigctl.wire.trust import DEVICE_OF, doubts
 
 MODE_STYLE = {
