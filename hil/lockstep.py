@@ -139,10 +139,14 @@ class Lockstep:
         """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
         self.loop.tick()
         if self.loop.machine.starts_anew:
-            last = LastStroke(self.loop.inbox.stroke_mm)
-            self.report = self._bring_up()
-            self.clock = self._clock_of_now()
-            self.loop = self._make_loop(last)
+            self.start_anew()
+
+    def start_anew(self) -> None:
+        """Bring the devices up and make a new loop on the same rig, as the supervisor does with the control process."""
+        last = LastStroke(self.loop.inbox.stroke_mm)
+        self.report = self._bring_up()
+        self.clock = self._clock_of_now()
+        self.loop = self._make_loop(last)
 
     def _bring_up(self) -> startup.StartupReport:
         return startup.bring_up(self._bus, self.settings, lambda: self.rig_ns)

@@ -64,7 +64,7 @@ def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *
     from rigctl.ipc import ledger
     from rigctl.recorder.contents import seals_in_words
     from rigctl.replay.compare import first_difference
-    from rigctl.replay.play import play
+    from rigctl.replay.play import made_by, play
 
     found: list[dict[str, Any]] = []
     start = time.monotonic()
@@ -89,6 +89,7 @@ def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *
             {
                 "file": str(file),
                 "seal": sealed,
+                "release": recording.release,
                 "loops": found,
                 "identical": not bad,
                 "culprits": [{"t_ns": one.t_ns, **one.culprit.as_message()} for one in named],
@@ -104,7 +105,8 @@ def _again(file: pathlib.Path, recording: Recording, spans: list[ProcessSpan], *
         say(f"{recorded_s:.1f} s of loop replayed at {times:.1f} times real time")
     if bad or cut:
         what = "a command, a mode or a figure came out differently" if bad else "the recording has a gap"
-        end(BAD, f"{file}: {what}")
+        other = made_by(recording) if bad else ""
+        end(BAD, f"{file}: {what}{'; ' if other else ''}{other}")
     end(DONE)
 
 

@@ -59,6 +59,8 @@ def rows(
             ("target", n(state["target_n"], 1, "N"), ""),
             ("stroke", f"{of(state, 'stroke_mm', 2, 'mm')}, {of(state, 'speed_mm_s', 2, 'mm/s', sign=True)}", ""),
             ("inclination", figures.inclination(state), ""),
+            ("drive", figures.drive_with_state(state), ""),
+            *([("power off", shown, "")] if (shown := figures.power_off(state)) else []),
             ("load at rest", figures.at_rest(state), ""),
             ("calibration", *figures.calibration(state)),
             *([("signals", flaws, "bold yellow")] if flaws else []),

@@ -133,6 +133,8 @@ class _AnyState(msgspec.Struct):
     held_by: Word | None = None
     power_off: Word | None = None
     load_at_rest: Word | None = None
+    drive_state: Word | None = None
+    drive_power: Word | None = None
     calibration: _Calibration | None = None
     lease: _LeaseShown | None = None
     preflight: _Preflight | None = None

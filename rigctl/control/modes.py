@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
 from rigctl.control.homed import TOLERANCE_MM
@@ -32,6 +32,14 @@ class HeldBy(IntEnum):
     BRAKE = 3  # SBC, safe brake control: drive off, brake closed
     TAKING = 4  # the drive is being switched on, the motor takes the load from the brake
     UNKNOWN = 5  # the drive does not report its state
+
+
+class DrivePower(StrEnum):
+    """Whether the motor may have torque; the value is what the screens show."""
+
+    OFF = "off"  # it has reported a state without power for as long as its brake takes to close
+    STOPPING = "stopping"  # on its way there by itself
+    NOT_OFF = "not off"
 
 
 REST_S = 2.0  # for which a tension or a stroke at rest shows that a drive has no power

@@ -39,6 +39,8 @@ from rigctl.devices.objects import (
     STATUS_INTERNAL_LIMIT,
     STATUS_REMOTE,
     STATUS_WARNING,
+    STOPPING_STATES,
+    UNPOWERED_STATES,
     Controlword,
     DriveState,
     drive_state,
@@ -50,7 +52,6 @@ _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
 _ON_COMMANDS = frozenset({Controlword.SWITCH_ON.value, Controlword.ENABLE_OPERATION.value})
 _CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RESET.value})
-_STOPS = frozenset({DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY})
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
@@ -113,6 +114,8 @@ class Observer:
         self._off_since_ns: int | None = None
         self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
         self._cut_ns = 0
+        self._not_on_from_ns: int | None = None  # when the words that lead to power ended
+        self._not_on_ns = 0
 
     @property
     def slack(self) -> bool:
@@ -143,7 +146,7 @@ class Observer:
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        self._look_at_off(now_ns, off=snapshot.drive_off or state is DriveState.FAULT)
+        self._look_at_off(now_ns, off=state in UNPOWERED_STATES)
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
         self._look_at_sinking(now_ns)
         self._look_at_drive_status(now_ns)
@@ -231,10 +234,10 @@ class Observer:
         """The drive reports now that it is off, and has for its brake's time, with the stroke at rest or its power cut.
 
         Drives report an off state from the begin of their ramp on, which ends at standstill; a stroke that does not
-        come to rest needs disable voltage.
+        come to rest needs disable voltage. A word that leads to power may have its effect late: the time begins anew.
         """
         snapshot = self.snapshot
-        off_ns = min(snapshot.off_ns, max(snapshot.still_ns, self._cut_ns))
+        off_ns = min(snapshot.off_ns, self._not_on_ns, max(snapshot.still_ns, self._cut_ns))
         return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
 
     def look_at_load(self) -> None:
@@ -253,10 +256,10 @@ class Observer:
     def _look_at_power(self) -> None:
         """Whether the drive may have power, by commands and fresh samples; and what it may have moved unseen."""
         snapshot, fresh = self.snapshot, self.inbox.drive_fresh
-        without = snapshot.drive_off or drive_state(self.inbox.statusword) is DriveState.FAULT
-        commanded_on = self._outbox.controlword in _ON_COMMANDS
-        snapshot.drive_may_be_on = commanded_on or (not without if fresh else snapshot.drive_may_be_on)
-        snapshot.drive_stops = drive_state(self.inbox.statusword) in _STOPS
+        state = drive_state(self.inbox.statusword)
+        commanded_on, powered = self._outbox.controlword in _ON_COMMANDS, state not in UNPOWERED_STATES
+        snapshot.drive_may_be_on = commanded_on or (powered if fresh else snapshot.drive_may_be_on)
+        snapshot.drive_stops = state in STOPPING_STATES
         speed_mm_s = max(abs(snapshot.speed_mm_s) if fresh else self._fastest_mm_s, abs(self._law.command_mm_s))
         self._fastest_mm_s = speed_mm_s
         passed_s = (1 + self.just_skipped) * self._period_s
@@ -270,11 +273,14 @@ class Observer:
         snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
 
     def _look_at_off(self, now_ns: int, *, off: bool) -> None:
-        """How long the drive has reported a state without power, and has been sent the words that leave it none."""
+        """How long the drive has reported a state without power, and has been sent which words."""
+        word = self._outbox.controlword
         self._off_since_ns = _since(self._off_since_ns, now_ns, holds=off)
-        self._cut_from_ns = _since(self._cut_from_ns, now_ns, holds=self._outbox.controlword in _CUT_WORDS)
-        self.snapshot.off_ns = 0 if self._off_since_ns is None else now_ns - self._off_since_ns
-        self._cut_ns = 0 if self._cut_from_ns is None else now_ns - self._cut_from_ns
+        self._cut_from_ns = _since(self._cut_from_ns, now_ns, holds=word in _CUT_WORDS)
+        self._not_on_from_ns = _since(self._not_on_from_ns, now_ns, holds=word not in _ON_COMMANDS)
+        self.snapshot.off_ns = _passed_ns(self._off_since_ns, now_ns)
+        self._cut_ns = _passed_ns(self._cut_from_ns, now_ns)
+        self._not_on_ns = _passed_ns(self._not_on_from_ns, now_ns)
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
@@ -403,3 +409,8 @@ class Observer:
 def _since(since_ns: int | None, now_ns: int, *, holds: bool) -> int | None:
     """When a condition began to hold; None while it does not."""
     return None if not holds else now_ns if since_ns is None else since_ns
+
+
+def _passed_ns(since_ns: int | None, now_ns: int) -> int:
+    """How long a condition has held; 0 where it does not."""
+    return 0 if since_ns is None else now_ns - since_ns

@@ -54,7 +54,7 @@ class DriveAtStart:
         try:
             return self.state()
         except SilentError as silent:
-            self._drive.remote.nmt.state = "STOPPED"
+            self._stop()
             raise StartupError(f"{silent} The state of the drive is unknown, so it was sent NMT stop") from None
 
     def take_off_power(self, found: DriveState) -> None:
@@ -111,6 +111,11 @@ class DriveAtStart:
             self._bus.hear(lambda: False, self._bus.until_ns(POLL_S))
         return state
 
+    def _stop(self) -> None:
+        """NMT stop, twice, since a frame may be lost and the drive takes no SDO afterwards that would show it."""
+        for _ in range(2):
+            self._drive.remote.nmt.state = "STOPPED"
+
     def _give_up(self, why: str) -> NoReturn:
-        self._drive.remote.nmt.state = "STOPPED"
+        self._stop()
         raise StartupError(f"{why}: it was sent NMT stop and gets no heartbeat: use the emergency stop") from None

@@ -179,6 +179,9 @@ class DriveState(IntEnum):
 
 OFF_STATES = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})
 """No power, brake closed or closing."""
+UNPOWERED_STATES = OFF_STATES | {DriveState.FAULT}
+STOPPING_STATES = frozenset({DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT_REACTION_ACTIVE, DriveState.NOT_READY})
+"""States that end without power by themselves."""
 DRIVE_STATE_MASK = 0x6F
 _WIDE_STATES = frozenset({DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED,
                           DriveState.FAULT_REACTION_ACTIVE, DriveState.FAULT})  # fmt: skip

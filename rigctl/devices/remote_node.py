@@ -27,6 +27,7 @@ _TRIES = 3
 _Value = TypeVar("_Value")
 _MOST_SEGMENTS = 4  # no object read here needs more than one
 _ASK_AGAIN_S = 0.05
+_BOOT_S = 1.0  # in which a device has sent its boot-up message after "reset communication"
 _GARBLED = (struct.error, canopen.ObjectDictionaryError)  # canopen raises these on short frames and wrong sizes
 
 
@@ -271,12 +272,24 @@ class RemoteNode:
     def reset_communication(self, until_ns: int, say: Callable[[str], None]) -> None:
         """NMT reset communication, which ends errors that outlive their cause; the device boots anew.
 
+        The command is repeated once without the boot-up message. ``say`` gets a line where the reset shows no effect.
+
         Raises:
             StartupError: it does not answer afterwards.
         """
-        self.remote.nmt.state = "RESET COMMUNICATION"
+        booted = self._boots_anew() or self._boots_anew()
         self.await_answer(od.DEVICE_TYPE, until_ns, say)
         self.remote.nmt.state = "PRE-OPERATIONAL"
+        if not booted:
+            say(f"{self.name} (node {self.id}): no boot-up message after two commands to reset communication")
+        if error := self.error():
+            say(f"{error}, also after reset communication")
+
+    def _boots_anew(self) -> bool:
+        """Send "reset communication"; whether the boot-up message comes."""
+        self._bus.reported.pop(self.id, None)
+        self.remote.nmt.state = "RESET COMMUNICATION"
+        return self._bus.hear(lambda: self.reported is od.NmtState.BOOT_UP, self._bus.until_ns(_BOOT_S))
 
     def identity(self, profile: int) -> Device:
         """Identity of the device, which must be of this CiA profile."""

@@ -43,7 +43,8 @@ def devices(state: dict[str, Any], active: dict[str, Any]) -> list[dict[str, Any
     doubt, quality, alive = doubts(state), state.get("quality") or {}, bool(state.get("loop_alive"))
     dead = set(DEVICES) <= doubt.keys()
     rows: list[tuple[str, str, float | None, bool, bool]] = [
-        ("drive", figures.drive(state), None if "drive" in doubt else _age(state, "drive"), "drive" in doubt, True),
+        ("drive", figures.drive_with_state(state), None if "drive" in doubt else _age(state, "drive"),
+         "drive" in doubt, True),
         ("brake", figures.brake(state), None, False, False),
         ("load", held(state), None, state.get("held_by") == "UNKNOWN", False),
         ("load at rest", figures.at_rest(state), None, state.get("load_at_rest") == "UNKNOWN", False),

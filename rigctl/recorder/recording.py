@@ -61,6 +61,11 @@ class Recording:
     gaps: list[Gap]
 
     @property
+    def release(self) -> str:
+        """Version of rigctl that wrote it; empty where it does not say."""
+        return self.metadata.get("versions", {}).get("rigctl") or self.metadata.get("rigctl", {}).get("version", "")
+
+    @property
     def complete(self) -> bool:
         """Whether every file has its end and is undamaged."""
         return all(file.complete for file in self.files)

@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from pydantic import ValidationError
 
+from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
@@ -65,6 +66,14 @@ class Batch:
     sent: list[tuple[list[tuple[int, bytes]], list[tuple[int, bytes]]]]
 
 
+def made_by(recording: Recording) -> str:
+    """Which release replays a recording that this one does not, in words; empty where it was made by this one."""
+    if recording.release == __version__:
+        return ""
+    wrote = f"rigctl {recording.release}" if recording.release else "a release that it does not name"
+    return f"it was made by {wrote}, which replays it; this is {__version__}"
+
+
 def spans(recording: Recording) -> list[ProcessSpan]:
     """The control processes that the recording holds from their start.
 
@@ -73,7 +82,8 @@ def spans(recording: Recording) -> list[ProcessSpan]:
     """
     records = recording.records
     if records.dtype != RECORD.dtype:
-        raise ReplayError("the recording is of another version of rigctl: its records are not those of this one's loop")
+        other = made_by(recording) or f"it was made by another build of {__version__}, which replays it"
+        raise ReplayError(f"its records are not those of this version's loop: {other}")
     starts = np.flatnonzero(records["tick"] - records["skipped"] == 1).tolist()
     if not starts:
         where = f"tick {int(records['tick'][0])}" if len(records) else "nothing"
@@ -103,7 +113,8 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except ValidationError as error:
         first, *_ = Wording(RigSettings, frozenset(), Document({}, {}), pathlib.Path(ACTIVE)).lines(error)
-        raise ReplayError(f"the recorded settings are refused by this version: {first}") from None
+        other = f"; {other}" if (other := made_by(recording)) else ""
+        raise ReplayError(f"the recorded settings are refused by this version: {first}{other}") from None
     except msgspec.MsgspecError as error:
         raise ReplayError(f"what the loop was started with cannot be read: {error}") from None
     whole, cut_short = _without_gap(recording, records)

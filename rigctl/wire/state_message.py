@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.checks import Check
+from rigctl.control.drive_power import drive_shown
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff
@@ -229,6 +230,7 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "power_off_code": values["power_off"],
         "load_at_rest": _name(LoadAtRest, values["load_at_rest"]),
         "load_at_rest_code": values["load_at_rest"],
+        **_drive_of(values),
         "fault": _name(Fault, values["fault"]) if values["fault"] else None,
         "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
@@ -240,6 +242,14 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},
         **recent.figures(),
     }
+
+
+def _drive_of(values: Mapping[str, Any]) -> dict[str, str | None]:
+    """``drive_state`` and ``drive_power``, which are not assumed where the drive is not heard."""
+    if values["drive_quality"]:
+        return {"drive_state": None, "drive_power": None}
+    state, power = drive_shown(values["statusword"], values["held_by"])
+    return {"drive_state": state.name, "drive_power": power.name}
 
 
 def culprit_of(
@@ -325,6 +335,14 @@ DERIVED: Rows = (
         "is seen",
     ),
     ("load_at_rest_code", "integer", "", "its number, as in the record"),
+    ("drive_state", "string?", "", "CiA 402 state that the statusword reports; null where the drive is not heard"),
+    (
+        "drive_power",
+        "string?",
+        "",
+        "OFF: the drive has reported a state without power (SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, FAULT) for its "
+        "brake's time; else STOPPING or NOT_OFF; null where the drive is not heard",
+    ),
     ("fault", "string?", "", "latched fault's name, null without one"),
     ("fault_code", "integer", "", "its number, as in the record; 0 none"),
     ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.config import quantity
-from rigctl.control.modes import LoadAtRest, PowerOff
+from rigctl.control.modes import DrivePower, LoadAtRest, PowerOff
 from rigctl.wire.trust import DEVICE_OF, doubts
 
 MODE_STYLE = {
@@ -45,9 +45,8 @@ _HELD = {
 
 def held(state: dict[str, Any]) -> str:
     """What carries the load, how fast it sinks on a brake that slips, and whether a power off is confirmed."""
-    shown = PowerOff.__members__.get(str(state.get("power_off")), PowerOff.NONE)
     by = "UNKNOWN" if "drive" in doubts(state) else str(state.get("held_by"))
-    words = "; ".join(filter(None, (_HELD.get(by, "moved by the motor"), shown.words)))
+    words = "; ".join(filter(None, (_HELD.get(by, "moved by the motor"), power_off(state))))
     speed, left = state.get("sink_mm_s"), state.get("slack_s")
     if by == "UNKNOWN" or not isinstance(speed, int | float) or not isinstance(left, int | float):
         return words
@@ -61,12 +60,30 @@ def at_rest(state: dict[str, Any]) -> str:
 
 
 def drive(state: dict[str, Any]) -> str:
-    """Whether the drive is on, as its statusword says; "not off" on its way there or back, which it may not end."""
+    """Whether the drive is on, off, or what it is else, as its statusword says."""
     if "drive" in doubts(state):
         return "not known"
     if "drive_enabled" in state.get("flag_names", []):
         return "on"
-    return "not off" if state.get("held_by") in ("CLOSING", "TAKING") else "off"
+    shown = DrivePower.__members__.get(str(state.get("drive_power")))
+    if shown is not None:
+        return shown.value
+    if state.get("held_by") == "UNKNOWN":
+        return "not known"
+    return "not off" if state.get("held_by") in ("CLOSING", "TAKING") else "off"  # a daemon before this field
+
+
+def drive_with_state(state: dict[str, Any]) -> str:
+    """The same, with the state that the drive reports."""
+    name = state.get("drive_state")
+    if "drive" in doubts(state) or not isinstance(name, str):
+        return drive(state)
+    return f"{drive(state)} ({name.replace('_', ' ')})"
+
+
+def power_off(state: dict[str, Any]) -> str:
+    """What shows that a drive commanded off has no power, or that nothing does; empty without such a command."""
+    return PowerOff.__members__.get(str(state.get("power_off")), PowerOff.NONE).words
 
 
 def brake(state: dict[str, Any]) -> str:

@@ -123,6 +123,7 @@ def state(
         "flag_names": ["drive_enabled"] if on else [], "fault": fault.name if fault else None,
         "fault_code": int(fault), "fault_text": text,
         "causes": causes, "held_by": by.name, "held_by_code": int(by), "power_off": None,
+        **drive_reports(by),
         "load_at_rest": "BOTH", "checks": 0,
         "preflight": {"failing": {}, "waived": {"CALIBRATION": "simulated cell: there is no weight to hang on it"}},
         "quality": quality, "vertical_n": 300.04, "tension_n": 300.06, "target_n": 300.0, "setpoint_n": 300.06,
@@ -138,6 +139,16 @@ def state(
         "recording": None, "trip_dump": None, "warnings": ["SCHED_FIFO 80 refused: not permitted"],
         "gateway_wall_ns": 1, **more,
     }  # fmt: skip
+
+
+def drive_reports(by: HeldBy) -> dict[str, str | None]:
+    """What a drive reports with which ``by`` carries the load."""
+    if by is HeldBy.UNKNOWN:
+        return {"drive_state": None, "drive_power": None}
+    if by is HeldBy.BRAKE:
+        return {"drive_state": "SWITCH_ON_DISABLED", "drive_power": "OFF"}
+    on = by in (HeldBy.MOTOR, HeldBy.NOTHING)
+    return {"drive_state": "OPERATION_ENABLED" if on else "SWITCHED_ON", "drive_power": "NOT_OFF"}
 
 
 def tripped(fault: Fault, active: bool = True, ago_s: float = 7.0) -> list[dict[str, Any]]:

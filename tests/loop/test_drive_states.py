@@ -10,7 +10,8 @@ from collections.abc import Callable
 
 import pytest
 
-from hil.lockstep import lockstep
+from hil.hub import Port
+from hil.lockstep import Lockstep, lockstep
 from hil.nodes.cylinder_drive import CylinderDrive
 from hil.nodes.dictionary import Abort, refuse
 from hil.nodes.node import Node
@@ -20,17 +21,28 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
+from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.faults import Fault
+from rigctl.control.machine import SUPERVISED_NS
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.devices.objects import DriveState, NmtState
+from rigctl.devices.objects import DriveState, NmtState, drive_state
 from rigctl.devices.remote_node import StartupError
+from tests.builders.loop_frames import nmt, stop_node
 from tests.builders.rig_on_hub import RigOnHub
 
 SPEED_MM_S = 5.0
 NOT_POWERED = (DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.FAULT)
 WORST_MM = 1.0
+OFF_S = 2.0
+SUPERVISED_S = SUPERVISED_NS * 1e-9
+"""After a silence a reset is accepted so much later."""
+NO_EFFECT = [
+    ": no boot-up message after two commands to reset communication",
+    " reports error register 0x11: generic, communication, error 0x8250, RPDO timeout, also after reset communication",
+]
 READ_STATUSWORD = bytes([0x40, 0x41, 0x60, 0])
 Left = Callable[[RigOnHub], None]
 
@@ -91,9 +103,18 @@ def in_a_fault_reaction(rig: RigOnHub) -> None:
     drives(rig, SPEED_MM_S).trip(0x2310)
 
 
+def whose_stop_ends_in(state: DriveState) -> Left:
+    def left(rig: RigOnHub) -> None:
+        drives(rig, SPEED_MM_S).control.persists = state
+
+    left.__name__ = f"whose_stop_ends_in_{state.name}"
+    return left
+
+
+PERSISTENT = (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE)
 WAYS_IN: tuple[Left, ...] = (
     enabled_and_moving, enabled_at_rest_with_a_target, in_a_quick_stop_that_stays,
-    switched_on_with_the_motor_carrying, in_a_fault_reaction,
+    switched_on_with_the_motor_carrying, in_a_fault_reaction, *map(whose_stop_ends_in, PERSISTENT),
 )  # fmt: skip
 
 
@@ -124,6 +145,67 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
     stays_mm = found.rig.truth.stroke_mm
     found._pass_time(lambda: False, 2.0)
     assert found.rig.truth.stroke_mm == stays_mm
+
+
+def arms(rig: Lockstep) -> None:
+    """Arm a rig that is DISARMED, whose drive may have missed the commands of a loop that has ended."""
+    if rig.loop.observer.snapshot.drive_faulted:
+        assert rig.command(Verb.RESET) is Refusal.NONE
+    if rig.loop.machine.mode is Mode.DISARMED:
+        assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def until_off(rig: Lockstep) -> None:
+    """Until the loop has the drive switch off."""
+    for _ in range(20_000):
+        if not rig.loop.machine.drive_wanted:
+            return
+        rig.tick()
+    raise TimeoutError
+
+
+def disarmed(rig: Lockstep) -> None:
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    rig.give(Verb.DISARM)
+
+
+def parked(rig: Lockstep) -> None:
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    until_off(rig)
+
+
+def tripped(rig: Lockstep) -> None:
+    stop_node(rig, rig.settings.tension_cell.node)
+    until_off(rig)
+
+
+@pytest.mark.gate("disarmed-SWITCHED_ON", "parked-QUICK_STOP_ACTIVE", "tripped-OPERATION_ENABLED")
+@pytest.mark.parametrize("state", PERSISTENT, ids=lambda state: state.name)
+@pytest.mark.parametrize("way", [disarmed, parked, tripped], ids=lambda way: way.__name__)
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_powered_state_in_which_a_stop_ends_is_left_within_two_seconds(
+    rig: Lockstep, way: Callable[[Lockstep], None], state: DriveState
+) -> None:
+    """The motor carries 300 N meanwhile; what the fault's remedy names brings the rig back."""
+    drive = rig.rig.drive
+    drive.control.persists = state
+    way(rig)
+    before_mm = rig.rig.truth.stroke_mm
+    records = rig.run(OFF_S)
+    assert drive.control.stage.phase is StagePhase.BRAKED
+    assert abs(rig.rig.truth.stroke_mm - before_mm) < WORST_MM
+    fault = Fault.CELL_STALE if way is tripped else Fault.DRIVE_UNASKED
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, fault)
+    in_state = [drive_state(int(word)) is state for word in records["statusword"]]
+    assert any(in_state)
+    assert not (records["held_by"][in_state] == HeldBy.BRAKE).any(), "it is not called off while it is not"
+    drive.control.persists = None
+    rig.rig.receive(nmt(od.NMT_START, rig.settings.tension_cell.node))
+    rig.run(SUPERVISED_S)
+    assert rig.command(Verb.RESET) is Refusal.NONE
+    rig.run(1.0)
+    arms(rig)
+    assert rig.command(Verb.TENSION) is Refusal.NONE
 
 
 def refuses(_controlword: int) -> None:
@@ -166,7 +248,7 @@ def test_a_drive_that_never_answers_gets_nmt_stop_and_is_named(settings: RigSett
     found.rig.drive.network.unsubscribe(found.rig.drive.device.sdo.rx_cobid)
     with pytest.raises(StartupError, match="state of the drive is unknown, so it was sent NMT stop"):
         found.bring_up()
-    assert found.nmt() == [0x80, od.NMT_STOP]
+    assert found.nmt() == [0x80, od.NMT_STOP, od.NMT_STOP]
 
 
 def fitted(settings: RigSettings, name: str) -> RigSettings:
@@ -199,17 +281,25 @@ def test_an_nmt_start_that_is_not_taken_is_repeated(
     monkeypatch.setattr(Node, "_enter", entered)
     with lockstep(settings, gains) as rig:
         rig.run(2.0)
-        assert rig.loop.inbox.states[node] == (NmtState.OPERATIONAL if refused < 3 else NmtState.PRE_OPERATIONAL)
+        started = refused < 3
+        assert rig.loop.inbox.states[node] == (NmtState.OPERATIONAL if started else NmtState.PRE_OPERATIONAL)
         if name in ("second_force", "rail_encoder"):  # the first bars arming without a zero, the second never does
             return
-        assert rig.command(Verb.ARM) is (Refusal.NONE if refused < 3 else Refusal.PREFLIGHT)
-        assert rig.loop.machine.mode is (Mode.HOLD if refused < 3 else Mode.DISARMED)
+        assert rig.command(Verb.ARM) is (Refusal.NONE if started else Refusal.PREFLIGHT)
+        if not started:
+            assert Check(int(rig.reply["checks"])) & Check.NODE_NOT_OPERATIONAL
+            rig.start_anew()  # the remedy that it names
+            rig.run(2.0)
+            arms(rig)
+        assert rig.loop.machine.mode is Mode.HOLD
 
 
+@pytest.mark.parametrize("times", [0, 1, 2], ids=["taken", "lost once", "lost twice"])
 def test_an_error_that_outlives_its_cause_ends_with_a_reset_of_the_communication(
-    settings: RigSettings, monkeypatch: pytest.MonkeyPatch
+    settings: RigSettings, monkeypatch: pytest.MonkeyPatch, times: int
 ) -> None:
-    found = Found(settings)
+    """One that is lost is repeated, without the boot-up message; one that has no effect is named."""
+    found, left = Found(settings), [times]
     drive = found.rig.drive
     monkeypatch.setattr(drive, "_clear_faults", lambda: False)
     drive.raise_error(od.EmcyCode.RPDO_TIMEOUT, 0x10)
@@ -220,10 +310,19 @@ def test_an_error_that_outlives_its_cause_ends_with_a_reset_of_the_communication
         drive._errors.clear()
         reset()
 
+    def tap(_sender: Port, frame: bytes) -> list[bytes]:
+        can_id, _, data = FRAME.unpack(frame)
+        lost = (can_id, data[:2]) == (od.NMT_COB, bytes([0x82, drive.id])) and left[0] > 0
+        left[0] -= lost
+        return [] if lost else [frame]
+
     drive._commands[0x82] = cleared
+    found.hub.tap = tap
     found.bring_up()
-    (line,) = [line for line in found.said if "reset communication" in line]
-    assert "0x8250, RPDO timeout" in line and "node 4" in line
+    first, *more = [line for line in found.said if "reset communication" in line]
+    assert "0x8250, RPDO timeout" in first and "node 4" in first
+    assert (od.EmcyCode.RPDO_TIMEOUT in drive._errors) is (times == 2)
+    assert [line.partition("(node 4)")[2] for line in more] == (NO_EFFECT if times == 2 else [])
     assert drive.nmt_state is NmtState.OPERATIONAL
     assert not math.isnan(found.rig.truth.stroke_mm)
 

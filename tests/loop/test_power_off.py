@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
 import pytest
 
 from hil.faults import in_device
@@ -18,6 +21,7 @@ from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
+from rigctl.devices.objects import Controlword, DriveState
 from tests.builders.loop_frames import stop_node, texts
 
 WAIT_S = WAIT_NS * 1e-9
@@ -176,3 +180,69 @@ def test_a_reset_ends_the_report(rig: Lockstep) -> None:
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.1)
     assert shown(rig) is PowerOff.NONE
+
+
+LEADS_TO_POWER = (Controlword.SWITCH_ON, Controlword.ENABLE_OPERATION)
+
+
+def shows_off(records: npt.NDArray[Any]) -> npt.NDArray[np.bool_]:
+    """Ticks whose record states that the drive is without power, in either way."""
+    confirmed = [int(power_off) for power_off in PowerOff if power_off.confirmed]
+    shown: npt.NDArray[np.bool_] = (records["held_by"] == HeldBy.BRAKE) | np.isin(records["power_off"], confirmed)
+    return shown
+
+
+def withdrawn_by(rig: Lockstep, verb: Verb, *values: float) -> None:
+    """The drive is stated to be off until a command, and not in the tick that sends the first word that leads to power.
+
+    Nor in any tick after it.
+    """
+    assert shows_off(rig.run(0.05)).all()
+    assert rig.command(verb, *values) is Refusal.NONE
+    records = rig.read_records()
+    on = np.flatnonzero(np.isin(records["controlword"], LEADS_TO_POWER))
+    assert len(on), "no such word was sent"
+    assert not shows_off(records[on[0] :]).any()
+
+
+@pytest.mark.starts_in(Mode.DISARMED)
+def test_arming_withdraws_it_with_the_first_word_that_leads_to_power(rig: Lockstep) -> None:
+    rig.run(0.5)
+    withdrawn_by(rig, Verb.ARM)
+
+
+@pytest.mark.starts_in(Mode.HOLD)
+def test_taking_the_load_back_from_the_brake_withdraws_it(rig: Lockstep) -> None:
+    rig.run(4.0)
+    assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
+    withdrawn_by(rig, Verb.TENSION)
+
+
+def test_carrying_a_load_that_the_brake_does_not_hold_withdraws_a_power_off_that_was_confirmed(
+    fitted: Lockstep,
+) -> None:
+    cut(fitted)
+    fitted.run(0.6)
+    assert shown(fitted) is PowerOff.INPUT
+    fitted.rig.drive.brake.slip_mm_s = 0.3
+    fitted.run(2.0)
+    assert shown(fitted) is PowerOff.INPUT, "the load sinks on its brake, without power"
+    withdrawn_by(fitted, Verb.CARRY, 5.0)
+
+
+@pytest.mark.starts_in(Mode.DISARMED)
+def test_it_is_not_made_again_before_the_brakes_time_after_the_last_such_word(rig: Lockstep) -> None:
+    """The drive acts on its commands late: its state is still off when HOLD has ended the arming."""
+    rig.run(0.5)
+    rig.give(Verb.ARM)
+    for _ in range(5_000):
+        if rig.rig.drive.control.state is DriveState.READY_TO_SWITCH_ON:
+            rig.rig.drive.rpdo_defect = lambda _command: None
+        if rig.loop.outbox.controlword in LEADS_TO_POWER:
+            break
+        rig.tick()
+    assert rig.loop.machine.taking
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    brake_s = rig.settings.cylinder.brake_delay_ms * 1e-3
+    assert not shows_off(rig.run(brake_s - 0.01)).any()
+    assert shows_off(rig.run(0.02))[-1]

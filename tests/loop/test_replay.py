@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pathlib
+import re
 import time
 from collections.abc import Callable
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
@@ -24,7 +26,7 @@ from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import Recording, parts_of, read
 from rigctl.replay.compare import Against, first_difference
-from rigctl.replay.play import ProcessSpan, ReplayError, play, spans
+from rigctl.replay.play import ProcessSpan, ReplayError, made_by, play, spans
 
 STOP_S = 3.0
 
@@ -176,6 +178,25 @@ def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, Proc
     recording, _ = paper
     with pytest.raises(ReplayError, match="no start of the loop is in it: it begins with tick 101"):
         spans(dataclasses.replace(recording, records=recording.records[100:]))
+
+
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [({"versions": {"rigctl": "0.0.9"}}, "made by rigctl 0.0.9, which replays it"),
+     ({"rigctl": {"version": "0.0.9"}}, "made by rigctl 0.0.9, which replays it"),
+     ({}, "made by a release that it does not name, which replays it"),
+     ({"versions": {"rigctl": __version__}}, f"made by another build of {__version__}, which replays it")],
+    ids=["recording", "dump", "unnamed", "same"],
+)  # fmt: skip
+def test_a_recording_of_a_former_loop_names_the_release_that_replays_it(
+    paper: tuple[Recording, ProcessSpan], metadata: dict[str, dict[str, str]], said: str
+) -> None:
+    recording, _ = paper
+    assert (recording.release, made_by(recording)) == (__version__, "")
+    fewer = [name for name in recording.records.dtype.names or () if name != "load_at_rest"]
+    former = dataclasses.replace(recording, metadata=metadata, records=recording.records[fewer])
+    with pytest.raises(ReplayError, match="records are not those of this version's loop: it was " + re.escape(said)):
+        spans(former)
 
 
 def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Recording, ProcessSpan]) -> None:

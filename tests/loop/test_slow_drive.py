@@ -48,19 +48,28 @@ def test_a_reset_takes_effect_whenever_the_drive_reads_its_controlword(rig: Lock
         rig.rig.drive.rpdo_defect = None
 
 
-@pytest.mark.parametrize("period_ms", [1, 2, 4, 8, 10, SLOWEST_MS])
+EVERY_PHASE = [(period_ms, phase_ms) for period_ms in range(1, SLOWEST_MS + 1) for phase_ms in range(period_ms)]
+
+
+@pytest.mark.gate("1-0-clears", "2-1-stays", "4-2-clears", "8-5-clears", "10-9-stays", "16-0-clears", "16-15-clears")
+@pytest.mark.parametrize("clears", [True, False], ids=["clears", "stays"])
+@pytest.mark.parametrize(("period_ms", "phase_ms"), EVERY_PHASE)
 @pytest.mark.starts_in(Mode.HOLD)
-def test_a_reset_of_a_latched_fault_is_answered_when_the_drive_has_left_its_own(rig: Lockstep, period_ms: int) -> None:
-    reads_every(rig, period_ms, 0)
+def test_the_answer_to_a_reset_of_a_latched_fault_is_true_whenever_the_drive_reads_its_controlword(
+    rig: Lockstep, monkeypatch: pytest.MonkeyPatch, period_ms: int, phase_ms: int, clears: bool
+) -> None:
     rig.rig.drive.trip(OVERCURRENT)
     rig.run(STOPPED_S)
     fault = rig.loop.machine.fault
     assert fault is not Fault.NONE
+    if not clears:
+        monkeypatch.setattr(rig.rig.drive.control, "_clear_faults", lambda: False)
+    reads_every(rig, period_ms, phase_ms)
     resets(rig)
-    assert rig.command(Verb.RESET) is Refusal.NONE
-    assert state(rig) is not DriveState.FAULT
-    assert rig.loop.machine.mode is Mode.DISARMED
-    assert resets(rig) == [fault]
+    assert rig.command(Verb.RESET) is (Refusal.NONE if clears else Refusal.DRIVE_STATE)
+    assert (state(rig) is DriveState.FAULT) is not clears
+    assert rig.loop.machine.mode is (Mode.DISARMED if clears else Mode.FAULT)
+    assert resets(rig) == ([fault] if clears else [])
 
 
 @pytest.mark.starts_in(Mode.HOLD)

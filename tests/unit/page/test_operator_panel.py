@@ -76,6 +76,7 @@ def test_every_device_has_its_words_and_its_age() -> None:
         state(Mode.HOLD, "drive_enabled", **held, drive_age_ns=1_500_000, drive_current_a=1.25, tension_age_ns=None)
     )
     assert (found["drive"]["text"], found["drive"]["age_ms"]) == ("on", 1.5)
+    assert rows(state(Mode.DISARMED, drive_power="OFF", drive_state="FAULT"))["drive"]["text"] == "off (FAULT)"
     assert found["load"]["text"] == "held by the motor"
     assert found["motor current"]["text"] == "1.25 A"
     assert found["drive temperature"]["text"] == "not known"

@@ -138,6 +138,21 @@ def test_the_rows_of_status_and_watch_hold_every_answer() -> None:
     assert labels == ["does now", "blocks reset", "next step", "entry"]
 
 
+@pytest.mark.parametrize(
+    ("power", "name", "shown"),
+    [
+        ("OFF", "SWITCH_ON_DISABLED", "off"), ("OFF", "FAULT", "off"), ("NOT_OFF", "SWITCHED_ON", "not off"),
+        ("STOPPING", "QUICK_STOP_ACTIVE", "stopping"), ("STOPPING", "READY_TO_SWITCH_ON", "stopping"),
+    ],
+)  # fmt: skip
+def test_the_drive_is_shown_with_the_state_that_it_reports(power: str, name: str, shown: str) -> None:
+    found = state(Mode.DISARMED, held_by="CLOSING", drive_power=power, drive_state=name)
+    assert state_words.drive(found) == shown
+    assert state_words.drive_with_state(found) == f"{shown} ({name.replace('_', ' ')})"
+    silent = found | {"quality": found["quality"] | {"drive": "stale"}}
+    assert state_words.drive_with_state(silent) == "not known"
+
+
 @pytest.mark.parametrize(("by", "shown"), [("BRAKE", "off"), ("CLOSING", "not off"), ("TAKING", "not off")])
 def test_a_drive_on_its_way_is_not_called_off(by: str, shown: str) -> None:
     """In SWITCHED ON or QUICK STOP ACTIVE the motor may carry the load, for good if the drive stays there."""

@@ -19,8 +19,9 @@ from rigctl.commission.preflight import PreflightVerdict
 from rigctl.config import rig_file as config
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.control.modes import HeldBy, Mode
 from rigctl.control.safety import Action
+from rigctl.devices.objects import DriveState
 from rigctl.gateway import published_position
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
@@ -87,6 +88,26 @@ def test_a_record_made_meanwhile_has_no_negative_age() -> None:
 def test_a_signal_that_never_came_has_no_age() -> None:
     found = state(record(tension_age_ns=(1 << 61) + 5, drive_age_ns=7))
     assert (found["tension_age_ns"], found["drive_age_ns"]) == (None, 7)
+
+
+@pytest.mark.parametrize("held_by", HeldBy)
+@pytest.mark.parametrize("drive", DriveState)
+def test_a_drive_is_off_only_in_a_state_without_power_once_its_brake_has_had_its_time(
+    drive: DriveState, held_by: HeldBy
+) -> None:
+    found = state(record(statusword=0x1200 | drive, held_by=held_by))
+    unpowered = drive in (DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.FAULT)
+    assert found["drive_state"] == drive.name
+    assert (found["drive_power"] == "OFF") is (unpowered and held_by is HeldBy.BRAKE)
+    if drive in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED) or held_by is HeldBy.TAKING:
+        assert found["drive_power"] == "NOT_OFF"
+    elif held_by is not HeldBy.BRAKE:
+        assert found["drive_power"] == "STOPPING"
+
+
+def test_the_state_of_a_drive_that_is_not_heard_is_not_shown() -> None:
+    found = state(record(statusword=DriveState.FAULT, held_by=HeldBy.BRAKE, drive_quality=Quality.STALE))
+    assert (found["drive_state"], found["drive_power"]) == (None, None)
 
 
 def test_no_record_is_a_state_too() -> None:

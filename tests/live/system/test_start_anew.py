@@ -1,0 +1,49 @@
+"""The way back from the silence with real processes: the control process ends, and the supervisor starts it anew."""
+
+from __future__ import annotations
+
+import pathlib
+import subprocess
+import sys
+
+import pytest
+
+from rigctl.ipc.runtime_folder import Runtime
+from tests.builders import daemons
+from tests.builders.paths import ROOT
+from tests.builders.waiting import patience_s, until
+from tests.live.system.test_arming import running
+from tests.live.system.test_daemon import Running
+
+
+def inject(rig: Running, *words: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "inject", str(rig.file), *words],
+        cwd=ROOT, capture_output=True, text=True, timeout=patience_s(), check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def control_pid(rig: Running) -> int:
+    return int(Runtime.of(daemons.name_of(rig.file)).known("control.json")["pid"])
+
+
+def test_a_reset_of_the_silence_starts_all_devices_up_again(tmp_path: pathlib.Path) -> None:
+    with running(tmp_path, {}) as rig:
+        rig.do("arm")
+        rig.do("target", "100")
+        rig.do("tension", "--wait")
+        former = control_pid(rig)
+        inject(rig, "sync_unheard")  # the drive goes on at its last speed, so that nothing but silence stops it
+        until(lambda: daemons.state(rig.file).get("fault") in ("SYNC_LOST", "DRIVE_STALE"), log=rig.log)
+        until(lambda: "UNCONFIRMED" in str(daemons.state(rig.file).get("power_off")), log=rig.log)
+        assert rig.truth()[0] == pytest.approx(100.0, abs=6.0), "within 1 mm of a spring of 6 N/mm"
+        inject(rig, "--end")
+        until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
+        until(lambda: control_pid(rig) != former and daemons.mode(rig.file) == "DISARMED", log=rig.log)
+        assert "ended to start all devices up again" in rig.log.read_text()
+        assert rig.truth()[0] == pytest.approx(100.0, abs=6.0)
+        if daemons.state(rig.file)["drive_state"] == "FAULT":
+            rig.do("reset")
+        until(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
+        rig.do("tension", "--wait")
