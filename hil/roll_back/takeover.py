@@ -13,7 +13,7 @@ from hil.lockstep import Lockstep, lockstep
 from hil.study.runner import Work, play
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 
 SEED, DRAWS = 34, 60
@@ -108,7 +108,7 @@ def taken_over(rig: RigSettings, gains: Gains, case: Takeover) -> TakenOver:
         if _ended(bench) != "HOLD":
             return TakenOver(rolled_mm, math.nan, _ended(bench))
         bench.run(_PARKED_S)
-        if bench.loop.observer.snapshot.held_by is not HeldBy.BRAKE:
+        if not bench.rig.drive.control.stage.braked:
             return TakenOver(rolled_mm, math.nan, "not parked")
         since_ns, before_mm = bench.clock.now(), bench.rig.truth.stroke_mm
         strokes.clear()
