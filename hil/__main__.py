@@ -228,7 +228,10 @@ def _new(
 def _faults(
     file: PaperOr = None,
     only: Annotated[list[str] | None, typer.Option(help="a fault to play; may be repeated; default all")] = None,
-    mode: Annotated[list[str] | None, typer.Option(help="a mode to play in; may be repeated; default all")] = None,
+    mode: Annotated[
+        list[str] | None,
+        typer.Option(help="a mode, also HOLD_PARKED, FAULT_PARKED; repeatable; default all"),
+    ] = None,
     json: JsonFile = None,
     list_: Annotated[bool, typer.Option("--list", help="print the catalogue, play nothing")] = False,
     kills: Annotated[int, typer.Option(min=0, help="kill or stop processes of the daemon this often instead")] = 0,

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 
 from hil.cli.files import check_folder, check_names, check_outputs, publish, simulated_rig
 from hil.faults import fault_tables, gateway_kills, kills, lockstep_rows, named_rows, naming, processes
-from hil.faults.catalogue import CATALOGUE
+from hil.faults.catalogue import CATALOGUE, PARKED
 from hil.faults.expected import InjectedFault
 from hil.faults.judge import FaultResult
+from hil.faults.rows_parked import PARKED as PARKED_MODES
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
 from rigctl.control.modes import Mode
@@ -57,7 +58,7 @@ def run(rig_file: pathlib.Path, only: Sequence[str], modes: Sequence[str], json:
     Args:
         rig_file: with the ``simulation`` section.
         only: ids of faults; none = all.
-        modes: names of modes; none = all.
+        modes: names of modes, HOLD_PARKED and FAULT_PARKED among them; none = all.
         json: file for the rows.
 
     Returns:
@@ -97,6 +98,7 @@ def run_diagnosis(
         OutputError: a file that cannot be written.
     """
     rig = simulated_rig(rig_file)
+    check_names("--mode", modes, [mode.name for mode in Mode])
     chosen = choose(only, modes or DIAGNOSED).lockstep
     check_folder("--diagnosis", folder, "row.npz")
     check_outputs({"--json": json}, [rig_file])
@@ -116,9 +118,13 @@ def choose(only: Sequence[str], modes: Sequence[str]) -> Chosen:
         ScenarioError: unknown fault or mode, or no row at all.
     """
     check_names("--only", only, NAMES)
-    check_names("--mode", modes, [mode.name for mode in Mode])
+    check_names("--mode", modes, [*(mode.name for mode in Mode), *PARKED_MODES])
     wanted = [mode for mode in Mode if not modes or mode.name in modes]
-    lockstep = tuple((f, m) for f in CATALOGUE if not only or f.id in only for m in f.modes if m in wanted)
+    named = [fault for fault in CATALOGUE if not only or fault.id in only]
+    parked = [mode for name, mode in PARKED_MODES.items() if not modes or name in modes]
+    on_brake = [PARKED[fault.id] for fault in named if fault.id in PARKED]
+    lockstep = tuple((f, m) for f in named for m in f.modes if m in wanted)
+    lockstep += tuple((f, m) for f in on_brake for m in f.modes if m in parked)
     real = tuple((p, m) for p in processes.CATALOGUE if not only or p.id in only for m in p.expected if m in wanted)
     if not lockstep and not real:
         raise ScenarioError(

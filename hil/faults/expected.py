@@ -79,6 +79,8 @@ class Around:
     """Motion of the plant from the moment of the fault on."""
     preload_n: float | None = None
     """Tension on entering the mode, where it is not the usual one."""
+    parked: bool = False
+    """The brake has the load: HOLD and FAULT after their parking."""
     phase: str = ""
     """Phase of arming in which the fault comes, see `hil.faults.arming_phases`; "": none is under way."""
     course: Injector | None = None

@@ -421,6 +421,15 @@ def brake_slips(speed_mm_s: float) -> Injector:
     return inject
 
 
+def brake_closes_late(milliseconds: int) -> Injector:
+    """The brake closes so much later than it should, and the drive does not wait for it."""
+
+    def inject(stand: Stand) -> None:
+        stand.drive.brake.late_ns = milliseconds * 1_000_000
+
+    return inject
+
+
 def brake_stays_closed() -> Injector:
     """The brake does not open, or has closed by itself; the motor pulls against it up to its peak current."""
 

@@ -114,10 +114,11 @@ def judge(
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
     findings += _uncounted(fault, run, undisturbed)
     findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
-    findings += _shown_off(run, fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9)
+    late_s = fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9
+    findings += _shown_off(run, late_s, off_before=fault.around.parked)
     return FaultResult(
         fault.id,
-        mode.name,
+        mode.name + ("_PARKED" if fault.around.parked else ""),
         str(expected),
         str(reaction),
         detection_ms,
@@ -162,20 +163,22 @@ def _stopped_by_death(run: Run, dead: Floats, undisturbed: Run, at: float | None
     return [f"the load moved at {speed_mm_s:.2f} mm/s until {DEATH}"] if speed_mm_s > MOVES_MM_S else []
 
 
-def _shown_off(run: Run, late_s: float) -> list[str]:
+def _shown_off(run: Run, late_s: float, *, off_before: bool) -> list[str]:
     """Records that show the drive without power while its motor has had current for longer than ``late_s``.
 
-    That is the age of the statusword shown: a record shows what was sent before it.
+    That is the age of the statusword shown: a record shows what was sent before it. ``off_before``: the motor had none
+    until the fault.
     """
     shown = (run.records["held_by"] == HeldBy.BRAKE) | np.isin(run.records["power_off"], _CONFIRMED)
     off_s = np.append(run.t_s[~run.powered], -math.inf)
     off_s.sort()
-    since_s = np.maximum(off_s[np.searchsorted(off_s, run.records_t_s, side="right") - 1], run.t_s[0] - late_s)
+    first_s = 0.0 if off_before else run.t_s[0] - late_s
+    since_s = np.maximum(off_s[np.searchsorted(off_s, run.records_t_s, side="right") - 1], first_s)
     wrong = shown & (run.records_t_s - since_s > late_s + ROUNDING_S)
     if not np.any(wrong):
         return []
-    first_s = run.records_t_s[np.flatnonzero(wrong)[0]]
-    return [f"power off shown in {np.count_nonzero(wrong)} ticks while the motor had current, first {first_s:.3f} s"]
+    at_s = run.records_t_s[np.flatnonzero(wrong)[0]]
+    return [f"power off shown in {np.count_nonzero(wrong)} ticks while the motor had current, first {at_s:.3f} s"]
 
 
 def away_n(off_n: Floats, from_n: float) -> Floats:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.faults.catalogue import BY_ID
+from hil.faults.catalogue import ROWS
 from hil.faults.expected import InjectedFault
 from hil.faults.judge import FaultResult, judge
 from hil.faults.lockstep_run import Bench, by_start
@@ -52,4 +52,4 @@ def _start(rig: RigSettings, gains: Gains) -> None:
 
 
 def _play(fault_id: str, mode: Mode) -> FaultResult:
-    return row_of(_bench[0], BY_ID[fault_id], mode)
+    return row_of(_bench[0], ROWS[fault_id], mode)

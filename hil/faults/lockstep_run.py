@@ -43,13 +43,14 @@ class Start(NamedTuple):
     change: tuple[tuple[str, Any], ...]
     preload_n: float | None
     phase: str
+    parked: bool
     mode: Mode
     from_start: bool
 
 
 def start_of(around: Around, mode: Mode, from_start: bool) -> Start:
     """The start of a row."""
-    return Start(around.change, around.preload_n, around.phase, mode, from_start)
+    return Start(around.change, around.preload_n, around.phase, around.parked, mode, from_start)
 
 
 def by_start(rows: Iterable[tuple[InjectedFault, Mode]]) -> list[tuple[InjectedFault, Mode]]:
@@ -164,6 +165,8 @@ class Bench:
             stand.start(rig, start.mode, 0.0 if start.from_start else start.preload_n)
             if not start.from_start:
                 stand.enter(rig, start.mode)
+                if start.parked:
+                    stand.park(rig)
                 if start.phase:
                     arming_phases.arm_until(rig, start.phase)
             before = None if start.from_start else rig.run(1.0 / rig.settings.loop.rate_hz)[-1]

@@ -214,10 +214,10 @@ DRIVE = (
         "brake_stuck_open",
         "the brake does not hold: a motor without power gives way by 0.5 mm/s",
         in_device.brake_stays_open(),
-        {**RIDE, **dict.fromkeys((Mode.DISARMED, Mode.HOLD, Mode.FAULT), Reaction.MOVES)},
+        {**RIDE, Mode.DISARMED: Reaction.MOVES, Mode.HOLD: Reaction.HELD},
         latency_ms=220,
         seconds=3.0,
-        why="with power the motor carries; on the brake somebody has to know, but nothing may switch it on by itself",
+        why="after a parking the motor takes the load back; later nothing may switch it on by itself",
     ),
     InjectedFault(
         "brake_weak",

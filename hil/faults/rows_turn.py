@@ -94,7 +94,8 @@ def _inside() -> Iterator[InjectedFault]:
 
 _RESET_S, _AGAIN_S = 2.5, 3.5
 _RESETS = (_RESET_S, gives(Verb.RESET))
-_BACK = (_RESETS, (_AGAIN_S, gives(Verb.TENSION)))
+_BACK = (_RESETS, (_AGAIN_S, gives(Verb.ARM)), (6.5, gives(Verb.TENSION)))
+"""A drive that was taken off power is armed anew."""
 _LATE = ((0.0, in_controller.hangs(300)), _RESETS, (_AGAIN_S, gives(Verb.ARM)), (5.5, gives(Verb.TENSION)))
 """The drive stops by its own supervision, so the reset leads to DISARMED."""
 _SECOND_S = 8.5
@@ -105,19 +106,20 @@ _STALE = on_bus.silent(on_bus.cell)
 
 
 def _afterwards(id_: str, what: str, *parts: tuple[float, Injector], expected: Expected = _HELD,
-                band_n: float = 9.0, why: str = "") -> InjectedFault:  # fmt: skip
+                band_n: float = 9.0, held_mm: float = 1.0, why: str = "") -> InjectedFault:  # fmt: skip
     return InjectedFault(
         id_, what, in_turn(*parts), expected, seconds=max(at_s for at_s, _ in parts) + 2.5, band_n=band_n,
-        held_mm=1.0, latency_ms=math.inf, around=Around(change=(_LONG,)), ends_elsewhere=True, why=why,
+        held_mm=held_mm, latency_ms=math.inf, around=Around(change=(_LONG,)), ends_elsewhere=True, why=why,
     )  # fmt: skip
 
 
 AFTER = (
-    _afterwards("creeps_reset_tension", "the motor creeps by 2 mm/s; RESET, then TENSION",
-                (0.0, in_device.creeps(-2.0)), *_BACK, expected=_OFF, why="found again as soon as the motor holds"),
-    _afterwards("runs_reset_tension", "the motor pays out 5 mm/s by itself; RESET, then TENSION",
+    _afterwards("creeps_reset_tension", "the motor creeps by 2 mm/s; RESET, ARM, TENSION",
+                (0.0, in_device.creeps(-2.0)), *_BACK, expected=_OFF, held_mm=2.0,
+                why="found again as soon as the motor holds: twice within 1 mm, since an operator has armed it again"),
+    _afterwards("runs_reset_tension", "the motor pays out 5 mm/s by itself; RESET, ARM, TENSION",
                 (0.0, in_device.runs_away(-5.0)), *_BACK, expected=_OFF, band_n=15.0),
-    _afterwards("encoder_drifts_reset_tension", "position and speed drift by 1 mm/s; RESET, then TENSION",
+    _afterwards("encoder_drifts_reset_tension", "position and speed drift by 1 mm/s; RESET, ARM, TENSION",
                 (0.0, both(reads(STROKE, drift_s=1.0), reads(SPEED, plus=1.0))), *_BACK,
                 expected={Mode.HOLD: Reaction.DRIVE_OFF}),
     _afterwards("cell_silent_reset", "the cell's samples stop; RESET", (0.0, _STALE), _RESETS,

@@ -18,7 +18,7 @@ from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.devices import objects
 
 WAKE_S = 0.2
@@ -27,6 +27,8 @@ SETTLE_S = 0.6
 RAMP_S = 1.0
 CLOSED_S = 0.3
 RELEASE_S = 0.5
+PARKED_S = 2.5
+"""For standstill, the brake, its first second, and a load that is seen at rest."""
 SILENCE_MS = 30
 TENSIONING_FROM_N = 100.0
 CLOSED_BELOW_N = 25.0
@@ -190,6 +192,17 @@ def enter(rig: Lockstep, mode: Mode) -> None:
     found = rig.loop.machine.mode
     if found is not mode:
         raise RuntimeError(f"not in {mode.name} but in {found.name}, fault {rig.loop.machine.fault.name}")
+
+
+def park(rig: Lockstep) -> None:
+    """Wait until the brake has the load, and its first second is over.
+
+    Raises:
+        RuntimeError: it has not taken it.
+    """
+    rig.run(rig.settings.hold.park_s + PARKED_S)
+    if rig.loop.observer.snapshot.held_by is not HeldBy.BRAKE:
+        raise RuntimeError(f"not held by the brake but by {rig.loop.observer.snapshot.held_by.name}")
 
 
 def _accepted(rig: Lockstep, verb: Verb) -> None:

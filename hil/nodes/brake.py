@@ -11,8 +11,8 @@ class Brake:
         close_ns: from current off until it holds.
     """
 
-    __slots__ = ("_close_ns", "_closed", "_energised", "_open_ns", "_since_ns", "drag_n", "slip_mm_s", "stuck_closed",
-                 "stuck_open")  # fmt: skip
+    __slots__ = ("_close_ns", "_closed", "_energised", "_open_ns", "_since_ns", "drag_n", "late_ns", "slip_mm_s",
+                 "stuck_closed", "stuck_open")  # fmt: skip
 
     def __init__(self, open_ns: int, close_ns: int) -> None:
         self._open_ns, self._close_ns = open_ns, close_ns
@@ -25,6 +25,7 @@ class Brake:
         self.stuck_closed = False  # does not open, or has closed by itself
         self.stuck_open = False  # does not hold
         self.drag_n = 0.0  # friction, as rope force, of an armature that opens only partly
+        self.late_ns = 0  # by which it closes later
         self.slip_mm_s = 0.0  # speed at which it lets a load down while it is closed
 
     @property
@@ -39,5 +40,5 @@ class Brake:
 
     def advance(self, t_ns: int) -> None:
         """Advance the armature to ``t_ns``."""
-        if t_ns - self._since_ns >= (self._open_ns if self._energised else self._close_ns):
+        if t_ns - self._since_ns >= (self._open_ns if self._energised else self._close_ns + self.late_ns):
             self._closed = not self._energised

@@ -185,6 +185,7 @@ class CylinderDrive(Node):
         if not stage.powered:
             control.switch_off()
             return 0.0
+        control.build_up(_GRID_S)
         if not self._carries:
             control.wind_up(stage.velocity_mm_s * _GRID_S)
             return control.against_brake(load_n)
@@ -406,4 +407,4 @@ def _check_quick_stop_option(option: int) -> None:
 def _speed_control(drive: DriveSettings, most_n: float) -> SpeedControl:
     if drive.speed_loop_hz is None:
         return IdealSpeedControl()
-    return SpeedLoop(drive.moved_kg, drive.speed_loop_hz, most_n)
+    return SpeedLoop(drive.moved_kg, drive.speed_loop_hz, most_n, drive.torque_ms * 1e-3)

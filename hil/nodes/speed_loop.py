@@ -22,6 +22,9 @@ class SpeedControl(Protocol):
     def switch_off(self) -> None:
         """The motor has no current: its integrator starts at zero next time."""
 
+    def build_up(self, seconds: float) -> None:
+        """The motor has had current for so much longer."""
+
     def wind_up(self, way_mm: float) -> None:
         """The brake holds a motor that is commanded to go this way."""
 
@@ -44,27 +47,37 @@ class SpeedLoop:
         moved_kg: mass of rotor and screw as seen by the rope.
         bandwidth_hz: of the speed controller.
         most_n: force of the motor's peak current; the integrator ends there.
+        torque_s: time in which the torque of the offset builds up, evenly, once the motor has current.
     """
 
-    def __init__(self, moved_kg: float, bandwidth_hz: float, most_n: float) -> None:
+    def __init__(self, moved_kg: float, bandwidth_hz: float, most_n: float, torque_s: float = 0.0) -> None:
         self._pole = math.pi * bandwidth_hz  # w / 2, twice
         self._mass = moved_kg * KG
         self._stiffness = self._mass * self._pole**2
-        self._most_n = most_n
+        self._most_n, self._torque_s = most_n, torque_s
         self.offset_n = 0.0
         self.switch_off()
 
     def against_brake(self, load_n: float) -> float:  # noqa: ARG002 - the brake has it
         """Offset and integrator, up to the peak current."""
-        return min(max(self.offset_n - self._stiffness * self._off_mm, -self._most_n), self._most_n)
+        return min(max(self._given_n - self._stiffness * self._off_mm, -self._most_n), self._most_n)
 
     def switch_off(self) -> None:
         """No current."""
-        self._off_mm = self._off_mm_s = self._load_n = 0.0
+        self._off_mm = self._off_mm_s = self._load_n = self._on_s = 0.0
+
+    def build_up(self, seconds: float) -> None:
+        """The torque of the offset grows."""
+        self._on_s += seconds
+
+    @property
+    def _given_n(self) -> float:
+        """Of the offset, so far."""
+        return self.offset_n * min(1.0, self._on_s / self._torque_s) if self._torque_s else self.offset_n
 
     def wind_up(self, way_mm: float) -> None:
         """Integrate the speed that the brake denies, up to the peak current."""
-        low, high = ((self.offset_n + sign * self._most_n) / self._stiffness for sign in (-1.0, 1.0))
+        low, high = ((self._given_n + sign * self._most_n) / self._stiffness for sign in (-1.0, 1.0))
         self._off_mm = min(max(self._off_mm - way_mm, low), high)
         self._off_mm_s = 0.0
 
@@ -74,8 +87,8 @@ class SpeedLoop:
         self._load_n = load_n - held_n
 
     def carry(self, seconds: float) -> tuple[float, float]:
-        """Advance the deviation exactly, for a load that does not change meanwhile."""
-        rest = (self.offset_n - self._load_n) / self._stiffness
+        """Advance the deviation exactly, for a load and an offset that do not change meanwhile."""
+        rest = (self._given_n - self._load_n) / self._stiffness
         away, speed, before = self._off_mm - rest, self._off_mm_s, self._off_mm
         if abs(away) < _ROUNDING_MM and abs(speed) < _ROUNDING_MM_S:
             self._off_mm, self._off_mm_s = rest, 0.0
@@ -99,6 +112,9 @@ class IdealSpeedControl:
 
     def switch_off(self) -> None:
         """Nothing to forget."""
+
+    def build_up(self, seconds: float) -> None:
+        """Its torque is there."""
 
     def wind_up(self, way_mm: float) -> None:
         """No integrator."""

@@ -40,6 +40,7 @@ def as_dict(settings: RigSettings) -> dict[str, Any]:
         "stop_n": round(stop.newtons, 2),
         "held_growing_mm": round(held_tension.stretch_limit_mm(settings, held_tension.GROWS_MM), 3),
         "held_stretch_mm": round(held_tension.stretch_limit_mm(settings), 3),
+        "held_creep_mm_s": round(held_tension.smallest_creep_mm_s(settings), 3),
         "held_fall_n": round(held_tension.fall_limit_n(settings), 3),
         "probe": ProbeCheck.of(settings).as_dict(),
         "waived_bounds": [f"{key}: found {found}, expected {allowed}" for key, found, allowed in findings(settings)],

@@ -89,6 +89,9 @@ class DriveSettings(Settings):
         default=None, ge=1, le=1000, description="bandwidth of the drive's speed controller; null = it never yields"
     )
     moved_kg: float = Field(default=80.0, gt=0, le=1e5, description="mass of rotor and screw as seen by the rope")
+    torque_ms: float = Field(
+        default=0.0, ge=0, le=1000, description="time in which its torque builds up once the motor has current"
+    )
     preload_error_pct: float = Field(
         default=0.0, ge=-50, le=50, description="of the torque offset (0x60B2), how much less the motor gives"
     )

@@ -29,6 +29,7 @@ AWAIT_NS = 2_000_000_000
 BRAKE_TEST_NS = 2_000_000_000
 BRAKE_TEST_MM = 0.05
 """A brake holds without creep: its play and wind-up are taken up while it closes, before the test begins."""
+TEST_TEXT = " in the brake test, the drive stays off"
 REACTION_NS = 2_000_000_000
 """A stroke that still moves this long after the drive went off shows a slipping brake, and no stop under way."""
 

@@ -5,13 +5,14 @@ from __future__ import annotations
 import sys
 
 from rigctl.control import load_at_rest
-from rigctl.control.arming import STILL_NS
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, STILL_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
 from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
+from rigctl.control.observer import SETTLES_NS
 from rigctl.control.orders import RECHECK_NS
-from rigctl.control.parking import REST_NS
+from rigctl.control.parking import REST_NS, UNDO_MM, UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 
@@ -27,9 +28,11 @@ row before it. {SAFE_FRAMES} such safe frames are sent before the drive is switc
 before it is switched off.
 
 A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began: whatever ends it
-(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone; `lower` leaves it
-for as long as the motor lowers the load. `reset` leads to HOLD if the rig was armed, with the load on the brake, and to
-DISARMED if it was not armed, was disarmed in FAULT, or its drive is in a fault of its own.
+(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone; `lower`, or
+`release` while the motor carries the load, leaves it for as long as the motor lowers the load. `reset` leads to HOLD,
+held by the brake, if the rig was armed and FAULT has parked it. It leads to DISARMED, so that a whole arming with its
+brake test follows, if the rig was not armed, was disarmed in FAULT, its drive is or was in a fault of its own, or its
+power was taken away (by `quick_stop` and stronger actions, which an emergency stop has too, or by the drive itself).
 """
 _EVENTS = {
     Event.ENABLED: "drive enabled after `arm`",
@@ -40,8 +43,8 @@ _EVENTS = {
     Event.HOLD: "`hold`",
     Event.DISARM: "`disarm`",
     Event.TRIP: "trip",
-    Event.RESET_HELD: "`reset`, armed",
-    Event.RESET_OFF: "`reset`, not armed or the drive's own fault",
+    Event.RESET_HELD: "`reset`, parked",
+    Event.RESET_OFF: "`reset`, not armed or taken off power",
     Event.STOP: "daemon stops",
     Event.RAMP_DOWN: "limit asks for a ramp down",
     Event.LOWER: "`lower`, or the time of `carry` is over",
@@ -59,16 +62,21 @@ _PARKED = f"""
 ## What holds the load
 
 IEC 61800-5-2 has the words: SOS (safe operating stop) while the motor holds a stroke, SBC (safe brake control) when the
-brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says which it is; never both.
+brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says which it is; never both. It is derived
+from what the drive reports and from the load, not from what was commanded.
 
-| `held_by` | meaning |
-|---|---|
-| `MOTOR` | SOS: the motor holds, for `hold.park_s` at standstill in HOLD, {STILL_NS * 1e-9:g} s in FAULT |
-| `CLOSING` | the drive stops, closes its brake and goes off |
-| `BRAKE` | SBC: the brake holds, the drive is off; DISARMED, and a parked HOLD or FAULT |
-| `TAKING` | the drive comes on, its motor takes the load, its brake opens |
-| `UNKNOWN` | the drive does not report |
-| `NOTHING` | TENSIONING, COMPENSATING, RELEASING: the motor moves the load |
+| `held_by` | shown as | meaning |
+|---|---|---|
+| `MOTOR` | held by the motor | SOS: the drive is enabled and follows, for `hold.park_s` at standstill in HOLD, \
+{STILL_NS * 1e-9:g} s in FAULT |
+| `CLOSING` | brake closing | the drive stops, closes its brake and goes off; for {SETTLES_NS * 1e-9:g} s the load may \
+not be seen at rest yet |
+| `BRAKE` | held by the brake | SBC: the drive reports that it is off, for as long as its brake takes to close, and \
+the load is at rest (`load_at_rest`); DISARMED, and a parked HOLD or FAULT |
+| `TAKING` | motor takes the load | the drive comes on, its motor takes the load, its brake opens |
+| `UNKNOWN` | not known what holds the load | the drive does not report, or the load is not seen at rest on the closed \
+brake |
+| `NOTHING` | moved by the motor | TENSIONING, COMPENSATING, RELEASING |
 
 Two statements are made beside it, each with what shows it. `power_off`: a drive that was commanded off has no power
 ([operate.md](operate.md#modes)). `load_at_rest`: the load has been at rest for {_LOAD_REST_S:g} s, by the tension,
@@ -81,12 +89,24 @@ drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for
 again; `tare` and `calibrate` run on the brake. A rig without a brake (`cylinder.brake_waiver`) is held by the motor.
 
 `tension`, `release`, {_TRIALS} take a parked load back first: drive on, motor carries, brake open, motion. The command
-is answered when the motion begins. It is refused, and the brake stays closed, if one of the checks of arming fails that
-look at devices and signals, or if the drive is not enabled within {ARM_LIMIT_NS * 1e-9:g} s. Every supervised object is
-read back before, if the load has been on the brake for more than {RECHECK_NS // 60_000_000_000} min or a fault was
-reset since; meanwhile the read-back goes on, one object after the other. The brake test is not repeated: a parked load
-that stays where it is tests the brake. While the drive comes on, also by `arm`, the rows of HOLD are watched: a loss is
-a FAULT, and the brake closes.
+is answered when the motion begins, with "taking the load from the brake" and the time that it took. A refusal leaves
+the brake closed. While the drive comes on, also by `arm`, the rows of HOLD are watched: a loss is a FAULT, and the
+brake closes.
+
+| check | at `arm` | when a parked load is taken back |
+|---|---|---|
+| devices and signals: fresh, valid, operational, within their limits | yes | each time, until the drive has its power |
+| standstill, drive off, brake closed | yes | each time, within {AWAIT_NS * 1e-9:g} s |
+| drive enabled within {ARM_LIMIT_NS * 1e-9:g} s | yes | each time |
+| every supervised object read back | yes | after {RECHECK_NS // 60_000_000_000} min on the brake, and once after a \
+fault; else one object after the other, all the time |
+| brake test (SBT), {BRAKE_TEST_NS * 1e-9:g} s | yes | never: a parked load that stays where it is tests the brake |
+| computer, calibration, distance from the ends of the stroke | yes | never: nothing of it has changed since |
+
+A parking whose brake slips in its first second is undone: where stroke and tension both show that the load has sunk by
+{UNDO_MM:g} mm within {UNDO_NS * 1e-9:g} s and no other cause is active, the motor that has just held it takes it back,
+in FAULT (BRAKE_SLIPS), and carries it as by `carry`, for {LOWERED_NS // 60_000_000_000} min. Later, or by one of the
+two alone, nothing is switched on but by `carry`.
 
 ## A brake that slips
 
@@ -94,12 +114,14 @@ A stroke that moves on the closed brake, faster than {SINK_MM_S:g} mm/s over 5 s
 STROKE_MOVES in every mode that keeps the stroke, with its speed and the time until the rope is slack. No `reset` is
 accepted while the load sinks. The ways out are in FAULT:
 
-- `carry` SECONDS: the motor takes the load and holds it for {CARRY_S[0]:g} to {CARRY_S[1]:g} s. Encoder and tension by
-  stiffness have to agree on how the load moves, and no other cause may stand. When one does, the drive stops and closes
-  its brake. `reset` is refused meanwhile; `carry` again prolongs it. When its time is over the motor lowers the load: a
-  slipping brake gets it only by `disarm`, which tries the brake, or when the daemon ends.
-- `lower`: the motor lowers the load on the ramp of `release` until the rope is slack. A `hold` stops it, and the motor
-  carries for {LOWERED_NS // 60_000_000_000} min.
+- `carry` SECONDS (operator, with the lease): the motor takes the load and holds it for {CARRY_S[0]:g} to
+  {CARRY_S[1]:g} s, the fault shown. Encoder and tension by stiffness have to agree on how the load moves, no emergency
+  stop may be pressed, and no other cause may be active; after the last resort it is refused. When a cause becomes
+  active the drive stops and closes its brake. `reset` is refused meanwhile; `carry` again prolongs it. When its time
+  is over the motor lowers the load: a slipping brake gets it only by `disarm`, which tries the brake, or when the
+  daemon ends.
+- `lower`, or `release` while the motor carries the load: the motor lowers it on the ramp of `release` until the rope is
+  slack. A `hold` stops it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
 """
 _HELD = f"""
 ## The stroke that is held

@@ -319,7 +319,7 @@ _HELD_TEXT: dict[HeldBy, str] = {
     HeldBy.CLOSING: "the drive stops and closes its brake",
     HeldBy.BRAKE: "held by the brake, drive off",
     HeldBy.TAKING: "the motor takes the load from the brake",
-    HeldBy.UNKNOWN: "not known, the drive does not report",
+    HeldBy.UNKNOWN: "not known: the drive does not report, or the load is not seen at rest on the closed brake",
 }
 
 

@@ -303,12 +303,12 @@ class Fault(IntEnum):
         "Measure the stroke at the cylinder, then rigctl confirm-stroke MM.",
         Trait.BLOCKS_RESET,
     )
-    # The brake let the stroke move in the brake test
+    # The brake let the stroke move in the brake test, or in the first second after a parking
     BRAKE_SLIPS = (
         41,
         (
-            "brake test: the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm), the drive "
-            "stays off; rigctl carry: the motor holds the load, rigctl lower: it lowers it; have the brake repaired"
+            "the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm){text}; rigctl carry: the "
+            "motor holds the load, rigctl lower: it lowers it; have the brake repaired"
         ),
         "Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
     )

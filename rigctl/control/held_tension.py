@@ -64,15 +64,34 @@ def fall_limit_n(settings: RigSettings) -> float:
     return max(wanted_n, cell_n(settings))
 
 
+def smallest_creep_mm_s(settings: RigSettings) -> float:
+    """Smallest creep of a motor whose encoder has stuck that the tension shows before ``hold.park_s`` is over."""
+    plant, park_s = settings.plant, settings.hold.park_s
+    share = plant.slow_stiffness_n_mm / plant.stiffness_n_mm
+    least_n = SHARE * settings.tension.target_n
+    sudden_mm = max(stretch_limit_mm(settings), least_n / plant.stiffness_n_mm)
+    rows = (
+        (stretch_limit_mm(settings, GROWS_MM), GROWS_NS * 1e-9, GROWS_MM_S),
+        (sudden_mm, STRETCH_NS * 1e-9, 0.0),
+    )
+    return min(
+        max(limit_mm / (park_s - lasts_s), least) / share for limit_mm, lasts_s, least in rows if park_s > lasts_s
+    )
+
+
 def in_words(settings: RigSettings) -> str:
     """The limits of a held load, and what the cell itself may take of them."""
     stiffness = settings.plant.stiffness_n_mm
     grows_mm, stretch_mm = stretch_limit_mm(settings, GROWS_MM), stretch_limit_mm(settings)
     fall_n = fall_limit_n(settings)
+    park_s, creep_mm_s = settings.hold.park_s, smallest_creep_mm_s(settings)
+    braked_s = park_s + settings.cylinder.brake_delay_ms * 1e-3
     return (
         f"held load: by the motor, stroke and tension may disagree by {grows_mm:.2g} mm "
         f"({grows_mm * stiffness:.3g} N) if that grows, else by {stretch_mm:.2g} mm ({stretch_mm * stiffness:.3g} N) "
-        f"or {SHARE:.1%} of the load; on the brake, the tension may fall by {fall_n:.3g} N "
+        f"or {SHARE:.1%} of the load. The smallest creep that this sees behind a stuck encoder, before the brake takes "
+        f"the load after {park_s:g} s, is {creep_mm_s:.2g} mm/s; a slower one moves the load by "
+        f"{creep_mm_s * braked_s:.2g} mm at most until then. On the brake, the tension may fall by {fall_n:.3g} N "
         f"({fall_n / stiffness:.2g} mm) if it goes on, else by {SHARE:.1%} of the load for {FALLEN_NS * 1e-9:g} s. "
         f"The cell makes up to {cell_n(settings):.2g} N of it in {SHIFT_H:g} h (class C3); more from the rail or from "
         f"the payload cannot be distinguished from a drive or a brake that gives way"

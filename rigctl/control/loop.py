@@ -29,7 +29,7 @@ from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import CONTROLWORD_WRITTEN, Outbox
-from rigctl.control.parking import Parking
+from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
 from rigctl.control.preload import Preload
 from rigctl.control.probe_plan import plan
 from rigctl.control.readback import Readback
@@ -59,6 +59,7 @@ _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 SLIP_BITS = sum(1 << fault for fault in SLIPS)
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
+_ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 
@@ -125,7 +126,7 @@ class Loop:
         self._holds: HoldSource = GivenHolds() if holds is None else holds
         self._watch = Watch(settings, limit_rows(settings))
         self._escalator = Escalator(settings, _stopping_ns(settings))
-        self._parking = Parking(settings, _stopping_ns(settings))
+        self._parking, self._first_second = Parking(settings, _stopping_ns(settings)), FirstSecond(settings)
         self._travel_from_mm = 0.0
         self._moved_on_brake = False  # a load at rest on the brake has moved since
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
@@ -196,6 +197,7 @@ class Loop:
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
         trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
+        self._undo_parking(t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
@@ -396,7 +398,8 @@ class Loop:
             until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
-        braked = snapshot.held_by is before is HeldBy.BRAKE and machine.mode in _KEEPS
+        braked = self.observer.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE
+        braked = braked and machine.mode in _KEEPS
         if braked and (rest.rests if not snapshot.load_at_rest.rests else self._moved_on_brake):
             self._moved_on_brake = rest.rests
             text = machine.mode.name.encode()
@@ -410,7 +413,20 @@ class Loop:
         if machine.mode is Mode.FAULT and machine.carry_until_ns:
             self._carry_on(t_ns)
         elif self._parking.due(t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns):
-            machine.park()
+            machine.park(went_off=not self.observer.snapshot.drive_enabled)
+            self._first_second.begin()
+
+    def _undo_parking(self, t_ns: int) -> None:
+        """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong."""
+        first = self._first_second
+        first.look(self.observer.snapshot)
+        if not first.sank_mm or self._watch.standing & ~SLIP_BITS:
+            return
+        trip = Trip(Fault.BRAKE_SLIPS, first.sank_mm, UNDO_MM, text=UNDONE_TEXT)
+        if self.machine.undo_parking(trip, t_ns):
+            self._tripped = trip
+            self._logbook.trip(t_ns, Kind.TRIP, trip)
+        first.end()
 
     def _carry_on(self, t_ns: int) -> None:
         """The motor carries while nothing but the slip is wrong; when its time is over, it lowers the load."""
@@ -430,7 +446,7 @@ class Loop:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
                 self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
-        if moves:
+        if moves or (trial is not None and machine.mode is Mode.DISARMED):  # a weight of a tare or a calibration
             self._held_tension.follow()
         else:
             latched = math.isfinite(hold.reference_mm)

@@ -16,7 +16,7 @@ from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000
 """Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
-LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long
+LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long, as is a parking undone
 SLIPS = frozenset({Fault.STROKE_MOVES, Fault.BRAKE_SLIPS, Fault.STROKE_NOT_HELD})
 """Faults of a brake that does not hold: the motor may carry or lower the load nevertheless."""
 _MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
@@ -50,9 +50,12 @@ class Answer:
 
 
 class PendingCommand(NamedTuple):
-    """An accepted command that waits for the drive, and its event once the drive is enabled."""
+    """An accepted command that waits for the drive, and its event once the drive is enabled.
 
-    id: int
+    ``id`` is None where no operator has given it, so that nobody waits for the answer.
+    """
+
+    id: int | None
     verb: Verb
     event: Event | None
     carry_ns: int = 0
@@ -76,7 +79,8 @@ class Machine:
     """Starts in DISARMED. `outcome` gives what it has done since the last call.
 
     ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, and weaker only by CARRY
-    and LOWER. ``armed``: by ARM, and not disarmed since; a reset then leads to HOLD.
+    and LOWER. ``armed``: by ARM, and neither disarmed nor taken off power since, so that a reset leads to HOLD; what
+    took the power off asks for a whole arming, with its brake test.
     """
 
     def __init__(self, cut_after_ns: int = CUT_AFTER_NS) -> None:
@@ -168,11 +172,29 @@ class Machine:
         """The motor carries the load, so the drive has to be enabled."""
         return self._powered
 
-    def park(self) -> None:
-        """The brake takes the load: the drive stops, closes it and goes off; the mode stays."""
+    def park(self, *, went_off: bool = False) -> None:
+        """The brake takes the load: the drive stops, closes it and goes off; the mode stays.
+
+        ``went_off``: the drive has done so by itself, unasked.
+        """
+        self.armed &= not went_off
         if self.trial in modes.NEEDS_MOTOR:  # a tare or a calibration only reads, and goes on
             self.end_trial(Refusal.ABORTED)
         self._powered, self.carry_until_ns = False, 0
+
+    def undo_parking(self, trip: Trip, t_ns: int) -> bool:
+        """The brake slips at once: the motor takes the load back, as by CARRY, with a fault latched.
+
+        Returns whether it does: not where the power was taken off or the rig disarmed, or a command is on its way.
+        """
+        stopped = self.fault is not Fault.NONE and self.action > Action.HOLD
+        parked = self.armed and not self._powered and self.mode in (Mode.HOLD, Mode.FAULT)
+        if not parked or stopped or self.stopping or self._pending is not None:
+            return False
+        self.trip(trip, t_ns)
+        self._pending = PendingCommand(None, Verb.CARRY, None, LOWERED_NS)
+        self._pending_until = t_ns + ARM_LIMIT_NS
+        return True
 
     def on(self, event: Event) -> None:
         """Take an event of the rig itself; SLACK with a fault latched is the end of a ramp down, and goes to FAULT."""
@@ -198,7 +220,7 @@ class Machine:
         if self.fault is Fault.NONE:
             self.fault = trip.fault
         if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
-            self._powered = False
+            self._powered = self.armed = False
             self._cut_at_ns = t_ns + self._cut_after_ns
         if trip.at_once:
             self._cut_at_ns = t_ns
@@ -283,7 +305,8 @@ class Machine:
             elif not drive_faulted:
                 self._pending = None
                 self._accept(Verb.RESET, pending.event, t_ns, 0)
-                self._answer(pending.id, Verb.RESET, Refusal.NONE)
+                if pending.id is not None:
+                    self._answer(pending.id, Verb.RESET, Refusal.NONE)
             elif t_ns >= self._pending_until:
                 self._finish_pending(Refusal.DRIVE_STATE)
                 self.fault = Fault.DRIVE_FAULT
@@ -297,11 +320,12 @@ class Machine:
                     self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
             return False
         self._powered, self._pending = True, None
-        if pending.verb in modes.TRIED_IN:
+        if pending.verb in modes.TRIED_IN and pending.id is not None:
             self._trial = pending.id, pending.verb
             return False
         self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
-        self._answer(pending.id, pending.verb, Refusal.NONE)
+        if pending.id is not None:
+            self._answer(pending.id, pending.verb, Refusal.NONE)
         return False
 
     def follow_off(self, t_ns: int, *, off: bool) -> None:
@@ -356,7 +380,7 @@ class Machine:
                 self.carry_until_ns = 0
             case Verb.CARRY:
                 self.action, self.carry_until_ns = Action.HOLD, t_ns + carry_ns
-            case Verb.LOWER:
+            case Verb.LOWER | Verb.RELEASE if self.fault is not Fault.NONE:  # the motor carries the load
                 self.action, self.carry_until_ns = Action.RAMP_DOWN, max(self.carry_until_ns, t_ns + LOWERED_NS)
         if event is not None:
             self._go(event)
@@ -376,5 +400,6 @@ class Machine:
 
     def _finish_pending(self, refusal: Refusal) -> None:
         if self._pending is not None:
-            self._answers.append(Answer(self._pending.id, self._pending.verb, refusal))
+            if self._pending.id is not None:
+                self._answers.append(Answer(self._pending.id, self._pending.verb, refusal))
             self._pending, self.awaiting = None, False

@@ -28,10 +28,10 @@ class HeldBy(IntEnum):
 
     NOTHING = 0
     MOTOR = 1  # IEC 61800-5-2: SOS, safe operating stop
-    CLOSING = 2  # the drive stops, closes its brake and goes off
-    BRAKE = 3  # SBC, safe brake control: drive off, brake closed
+    CLOSING = 2  # the drive stops, closes its brake and goes off; the load is not seen at rest yet
+    BRAKE = 3  # SBC, safe brake control: the drive is off, its brake closed, and the load is at rest
     TAKING = 4  # the drive is being switched on, the motor takes the load from the brake
-    UNKNOWN = 5  # the drive does not report its state
+    UNKNOWN = 5  # the drive does not report its state, or the load is not seen at rest on the closed brake
 
 
 class DrivePower(StrEnum):
@@ -109,13 +109,17 @@ _SHOWN_WORDS: dict[PowerOff, str] = {
 _MOVES = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 
 
-def held_by(mode: Mode, *, known: bool, braked: bool, taking: bool, powered: bool) -> HeldBy:
+def held_by(
+    mode: Mode, *, known: bool, braked: bool, rests: bool, settles: bool, taking: bool, powered: bool
+) -> HeldBy:
     """What carries the load now.
 
     Args:
         mode: the mode.
         known: the drive's state is fresh.
         braked: the drive has been off for as long as its brake takes to close.
+        rests: the load is at rest; a closed brake alone does not show that it holds.
+        settles: the brake has closed so lately that the load may not have been seen at rest yet.
         taking: the drive has been commanded on and is not enabled yet.
         powered: the drive is enabled and is to stay so.
     """
@@ -124,7 +128,7 @@ def held_by(mode: Mode, *, known: bool, braked: bool, taking: bool, powered: boo
     if taking:
         return HeldBy.TAKING
     if braked:
-        return HeldBy.BRAKE
+        return HeldBy.BRAKE if rests else HeldBy.CLOSING if settles else HeldBy.UNKNOWN
     if not powered:
         return HeldBy.CLOSING
     return HeldBy.NOTHING if mode in _MOVES else HeldBy.MOTOR
@@ -141,8 +145,8 @@ class Event(IntEnum):
     HOLD = 5
     DISARM = 6
     TRIP = 7
-    RESET_HELD = 8  # fault acknowledged, the rig was armed
-    RESET_OFF = 9  # fault acknowledged, the rig was not armed, or its drive is in a fault of its own
+    RESET_HELD = 8  # fault acknowledged, the rig was armed and is held by the brake
+    RESET_OFF = 9  # fault acknowledged, the rig was not armed or was taken off power, or its drive is in a fault
     STOP = 10  # the process is to end
     RAMP_DOWN = 11  # a limit whose action is to ramp the tension down
     LOWER = 12  # the motor lowers a load that the brake does not hold
@@ -255,8 +259,9 @@ class Situation:
     cause_present: bool = False  # the latched fault's cause
     stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault_latched: bool = False
-    armed: bool = False  # by ARM, and not disarmed since
+    armed: bool = False  # by ARM, and neither disarmed nor taken off power since
     carried: bool = False  # the motor carries the load because the brake does not
+    e_stop: bool = False  # pressed
     disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
     drive_faulted: bool = False
     slack: bool = False
@@ -295,6 +300,11 @@ def cause_gone(situation: Situation) -> Refusal:
 def rope_tight(situation: Situation) -> Refusal:
     """The rope is tight, so that there is tension to release."""
     return Refusal.ALREADY if situation.slack else Refusal.NONE
+
+
+def motor_carries(situation: Situation) -> Refusal:
+    """The motor carries the load by `carry`, and the rope is tight."""
+    return rope_tight(situation) if situation.carried else Refusal.WRONG_MODE
 
 
 def no_fault_latched(situation: Situation) -> Refusal:
@@ -345,7 +355,9 @@ def stroke_as_measured(situation: Situation) -> Refusal:
 
 
 def motor_may_carry(situation: Situation) -> Refusal:
-    """The rope is tight, encoder and tension agree on how the load moves, and the time is 1 s to 1 h."""
+    """No emergency stop is pressed, the rope is tight, encoder and tension agree, and the time is 1 s to 1 h."""
+    if situation.e_stop:
+        return Refusal.CAUSE_PRESENT
     if situation.slack:
         return Refusal.SLACK
     if not CARRY_S[0] <= situation.carry_s <= CARRY_S[1]:
@@ -386,6 +398,7 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.FAULT, Event.RESET_HELD): Transition(Mode.HOLD, cause_gone),
     (Mode.FAULT, Event.RESET_OFF): Transition(Mode.DISARMED, cause_gone),
     (Mode.FAULT, Event.LOWER): Transition(Mode.RELEASING, rope_tight),
+    (Mode.FAULT, Event.RELEASE): Transition(Mode.RELEASING, motor_carries),
     **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
     **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
     **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},

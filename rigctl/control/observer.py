@@ -14,7 +14,7 @@ from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
-from rigctl.control.load_at_rest import LoadRest
+from rigctl.control.load_at_rest import REST_NS, LoadRest
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, held_by
@@ -54,6 +54,7 @@ _ON_COMMANDS = frozenset({Controlword.SWITCH_ON.value, Controlword.ENABLE_OPERAT
 _CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RESET.value})
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
+SETTLES_NS = REST_NS + 1_000_000_000  # from a closed brake to a load seen at rest, once it has swung out
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
@@ -110,6 +111,7 @@ class Observer:
         self._standstill, self._sinking = Standstill(settings), Sinking(settings)
         self.power_off = PowerOffWatch(settings)
         self._load_rest = LoadRest(settings)
+        self._rested = False  # the load has been at rest on the closed brake
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._off_since_ns: int | None = None
         self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
@@ -245,10 +247,16 @@ class Observer:
         snapshot, machine, rest = self.snapshot, self._machine, self._load_rest
         snapshot.load_at_rest = rest.look(machine.fault, snapshot)
         snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=self.braked)
+        braked, rests = self.braked, snapshot.load_at_rest.rests
+        self._rested &= braked
+        settles = not self._rested and snapshot.off_ns <= self._brake_ns + SETTLES_NS and not snapshot.sink_mm_s
+        self._rested |= braked and rests
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,
-            braked=self.braked,
+            braked=braked,
+            rests=rests,
+            settles=settles,
             taking=machine.taking,
             powered=snapshot.drive_enabled and machine.drive_wanted,
         )

@@ -18,7 +18,7 @@ from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Situation, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
@@ -98,6 +98,8 @@ class Orders:
         self._look_ns = 0
         self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found: _Values = {}  # figures of the last trial
+        self._taking: tuple[int, int] | None = None  # the command for which the motor takes the load, and since when
+        self._taken_s = math.nan  # how long that took, where a trial went on after it
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
 
@@ -127,7 +129,7 @@ class Orders:
     def attend(self, t_ns: int) -> None:
         """Go on with a waiting command, the preflight for display, and the trial, answered once it has ended."""
         machine = self._machine
-        parked = machine.armed and self._observer.snapshot.held_by is HeldBy.BRAKE
+        parked = machine.armed and self._observer.braked
         self._parked_ns = (self._parked_ns or t_ns) if parked else None
         if self._waiting is not None:
             self._go_on_waiting(self._waiting, t_ns)
@@ -159,7 +161,7 @@ class Orders:
         step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
         if step is arming.ArmingStep.SLIPPED:
             machine.refuse_pending(Refusal.BRAKE_SLIPPED)
-            trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD)
+            trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
         elif step is arming.ArmingStep.LATE or self._barring() & ~arming.AWAITED_CHECKS:
@@ -208,7 +210,13 @@ class Orders:
             figures = {"target_n": self._law.target_n}
         elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
             figures = self._found
-        self._reply(t_ns, given.id, given.refusal, checks, figures)
+        self._reply(t_ns, given.id, given.refusal, checks, {**figures, **self._taken(t_ns, given)})
+
+    def _taken(self, t_ns: int, given: Answer) -> dict[str, float]:
+        """How long the motor took to take the load from the brake for this command, if it did."""
+        if given.refusal is not Refusal.NONE or self._taking is None or self._taking[0] != given.id:
+            return {}
+        return {"taken_s": (t_ns - self._taking[1]) * 1e-9 if math.isnan(self._taken_s) else self._taken_s}
 
     def correct(
         self, correction: Correction, t_ns: int, *, held_s: float = math.nan, history: CellHistory | None = None
@@ -298,7 +306,7 @@ class Orders:
         if verdict:
             self._recheck = False
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
-        self._carry_out(waiting.id, waiting.verb, waiting.values, t_ns)
+        self._carry_out(waiting.id, waiting.verb, waiting.values, t_ns, since_ns=waiting.since_ns)
 
     def _situation(self, verb: Verb, values: _Values) -> Situation:
         machine, observer, settings = self._machine, self._observer, self._settings
@@ -321,6 +329,7 @@ class Orders:
             cause_present=self._watch.present(snapshot) is not Fault.NONE,
             armed=machine.armed,
             carried=machine.carry_until_ns > 0,
+            e_stop=snapshot.e_stop != 0,
             disagree=snapshot.sink_apart_mm > 0.0,
             drive_faulted=snapshot.drive_faulted,
             slack=observer.slack,
@@ -329,7 +338,8 @@ class Orders:
             target_max_n=settings.tension.target_max_n,
         )
 
-    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
+    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int, *, since_ns: int | None = None) -> None:
+        """``since_ns``: when the command came, if it has waited for the read-back."""
         machine, observer = self._machine, self._observer
         if verb is Verb.ARM and not machine.pending:
             self._near_end = values["near_end"] == 1.0
@@ -340,6 +350,7 @@ class Orders:
             if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
                 self.shown_checks = situation.failed_checks
             machine.awaiting = True
+            self._taking, self._taken_s = None if verb is Verb.ARM else (id_, since_ns or t_ns), math.nan
             self._sequence.begin(t_ns, arming=verb is Verb.ARM, at_rest=machine.mode is not Mode.FAULT)
         self.trial, self.powered_until_ns = None, 0
         self._values = values
@@ -364,6 +375,7 @@ class Orders:
     def _begin_trial(self, verb: Verb, t_ns: int) -> None:
         """Begin a trial; one that moves the stroke has the motor hold for as long as it states."""
         machine, observer = self._machine, self._observer
+        self._taken_s = (t_ns - self._taking[1]) * 1e-9 if self._taking is not None else math.nan
         held, regulated = machine.mode is Mode.HOLD, machine.mode is Mode.COMPENSATING
         self.trial = trials.begin(
             verb,

@@ -6,6 +6,8 @@ the brake has taken it. A motor that holds for longer than seconds holds on the 
 
 from __future__ import annotations
 
+import math
+
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import STILL_NS
 from rigctl.control.modes import Mode
@@ -14,6 +16,14 @@ from rigctl.control.snapshot import Snapshot
 REST_NS = 500_000_000
 """Spare time for a stroke to come to rest, beyond which the drive's own stop has to bring it there."""
 _KEEPS = frozenset({Mode.HOLD, Mode.FAULT})
+UNDO_NS = 1_000_000_000
+"""A brake that slips within this time after a parking gives the load back to the motor that has just held it."""
+UNDO_MM = 0.04
+"""Of stroke: 0.2 mm/s, at which STROKE_MOVES takes the drive off for good, take longer for it than that row's 0.2 s."""
+UNDO_SHARE = 0.5
+"""Of that way the tension has to show so much: the rope's stiffness may be off, and a payload may move."""
+UNDONE_TEXT = " right after it had taken the load, the motor takes it back"
+_UNDO_SMOOTH_S = 0.02  # of the cell's noise
 
 
 class Parking:
@@ -51,3 +61,60 @@ class Parking:
         if min(held_ns, snapshot.still_ns) >= wanted_ns:
             return True
         return held_ns >= self._rest_ns + (0 if mode is Mode.FAULT else self._park_ns)
+
+
+class FirstSecond:
+    """The first second after a parking, in which a brake that slips is found by stroke and tension together.
+
+    ``sank_mm``: how far the load has sunk on the closed brake, shown by both; 0 otherwise. Later, or by one of them
+    alone, nothing is switched on but by CARRY.
+    """
+
+    def __init__(self, settings: RigSettings) -> None:
+        plant = settings.plant
+        softness = 1.0 / plant.stiffness_n_mm + (1.0 / plant.mechanism_n_mm if plant.mechanism_n_mm else 0.0)
+        self._stiffness = 1.0 / softness
+        self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n * softness)
+        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
+        self._share = settings.loop.period_ns * 1e-9 / _UNDO_SMOOTH_S
+        self._slack_n = settings.tension.slack_n
+        self.sank_mm = 0.0
+        self.end()
+
+    def begin(self) -> None:
+        """The brake is to take the load."""
+        self.end()
+        self._parks = True
+
+    def end(self) -> None:
+        """The second is over, or something else has been decided about the load."""
+        self._parks = False
+        self.sank_mm = 0.0
+        self._from_mm = self._from_n = self._tension_n = math.nan
+
+    def look(self, snapshot: Snapshot) -> None:
+        """One tick; the way counts from the end of the brake's time on, since its play is taken up until then."""
+        if not self._parks:
+            return
+        unseen = max(snapshot.cell_age_ns, snapshot.drive_age_ns) > self._stale_ns or snapshot.cell_quality
+        if (
+            unseen
+            or not math.isfinite(snapshot.tension_n + snapshot.stroke_mm)
+            or (snapshot.off_ns > self._brake_ns + UNDO_NS)
+        ):
+            self.end()
+            return
+        if math.isnan(self._tension_n):
+            self._tension_n = snapshot.tension_n
+        self._tension_n += (snapshot.tension_n - self._tension_n) * self._share
+        if not snapshot.drive_off or snapshot.off_ns < self._brake_ns:
+            if math.isfinite(self._from_mm):  # it has come on again
+                self.end()
+            return
+        if math.isnan(self._from_mm):
+            self._from_mm, self._from_n = snapshot.stroke_mm, self._tension_n
+        way_mm = self._from_mm - snapshot.stroke_mm
+        fell_mm = (self._from_n - self._tension_n) / self._stiffness
+        shown = way_mm > self._least_mm and fell_mm > UNDO_SHARE * way_mm and snapshot.tension_n > self._slack_n
+        self.sank_mm = way_mm if shown else 0.0

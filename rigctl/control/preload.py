@@ -5,23 +5,26 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import HeldBy
 from rigctl.control.snapshot import Snapshot
 
 
 class Preload:
     """Rope force that the drive's torque offset shall carry.
 
-    It follows the tension while the brake holds the load. While the motor does it stays, because a step of the offset
-    would move the load; so does a tension that is not known any more.
+    It follows the tension while the drive is off and its brake closed, also where that brake slips. While the motor
+    holds it stays, because a step of the offset would move the load; so does a tension that is not known any more.
     """
 
     def __init__(self, settings: RigSettings) -> None:
+        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._most_n = settings.safety.tension_high_n
         self._force_n = 0.0
 
     def look(self, snapshot: Snapshot) -> float:
         """Force for this tick's command, N."""
-        if snapshot.held_by is HeldBy.BRAKE and snapshot.cell_quality == 0 and math.isfinite(snapshot.tension_n):
+        braked = snapshot.drive_off and snapshot.off_ns >= self._brake_ns
+        known = max(snapshot.drive_age_ns, snapshot.cell_age_ns) <= self._stale_ns and snapshot.cell_quality == 0
+        if braked and known and math.isfinite(snapshot.tension_n):
             self._force_n = min(max(snapshot.tension_n, 0.0), self._most_n)
         return self._force_n

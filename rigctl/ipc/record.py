@@ -195,9 +195,11 @@ REPLY = Slot(
         Field("zero_drift_n", "d", "N", "TARE, CALIBRATE: zero's drift with temperature and slack zero in force"),
         Field("cell_c", "d", "deg C", "TARE, CALIBRATE: the cell's temperature"),
         Field("second_n", "d", "N", "TARE, CALIBRATE: mean reading of the second force path"),
+        Field("taken_s", "d", "s", "from the command until the motor had taken the load from the brake for it"),
     ),
 )
-_FIGURES = tuple(field.name for field in REPLY.fields if field.code == "d" and field.name != "rms_n")
+_BESIDE = frozenset({"rms_n", "taken_s"})  # figures beside the one that a reply is about
+_FIGURES = tuple(field.name for field in REPLY.fields if field.code == "d" and field.name not in _BESIDE)
 
 
 def figure_of(reply: Any) -> float:

@@ -311,7 +311,9 @@ def answer(
     name = verb.name.lower()
     about = {"mode": mode.name, "t_ns": int(reply["t_ns"]), "value": value if math.isfinite(value) else None}
     if reply["accepted"]:
-        text = f"{verb.name}: {_done(verb, mode, value, newest)}"
+        taken_s = float(reply["taken_s"])
+        first = f"taking the load from the brake, {taken_s:.1f} s; " if math.isfinite(taken_s) else ""
+        text = f"{verb.name}: {first}{_done(verb, mode, value, newest)}"
         if verb is Verb.ARM and waived:
             text += f"; waived: {_by_words(waived)}"
             about["waived"] = {_plain(check): words for check, words in waived.items()}

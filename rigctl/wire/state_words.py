@@ -41,16 +41,19 @@ _HELD = {
     "TAKING": "motor takes the load",
     "UNKNOWN": "not known what holds the load",
 }
+_SLIPS = "on the closed brake (inferred)"
 
 
 def held(state: dict[str, Any]) -> str:
     """What carries the load, how fast it sinks on a brake that slips, and whether a power off is confirmed."""
-    by = "UNKNOWN" if "drive" in doubts(state) else str(state.get("held_by"))
-    words = "; ".join(filter(None, (_HELD.get(by, "moved by the motor"), power_off(state))))
+    unheard = "drive" in doubts(state)
+    by = "UNKNOWN" if unheard else str(state.get("held_by"))
     speed, left = state.get("sink_mm_s"), state.get("slack_s")
-    if by == "UNKNOWN" or not isinstance(speed, int | float) or not isinstance(left, int | float):
-        return words
-    return f"{words}, which SLIPS by {abs(speed):.2f} mm/s: rope slack in {left:.0f} s"
+    slips = ""
+    if not unheard and isinstance(speed, int | float) and isinstance(left, int | float):
+        slips = f", which SLIPS by {abs(speed):.2f} mm/s: rope slack in {left:.0f} s"
+    holds = _SLIPS if slips and by == "UNKNOWN" else _HELD.get(by, "moved by the motor")
+    return "; ".join(filter(None, (holds, power_off(state)))) + slips
 
 
 def at_rest(state: dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.machine import LOWERED_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
-from rigctl.control.safety import Action
+from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
 from tests.builders.branches import Started
 
@@ -128,6 +128,42 @@ def test_a_carry_that_is_over_lowers_the_load_and_never_parks_it_on_the_slipping
     assert slipping.loop.machine.mode is Mode.FAULT
     assert slipping.rig.drive.control.stage.braked
     assert slipping.command(Verb.RESET) is Refusal.NONE
+
+
+def test_a_load_carried_five_seconds_after_the_fault_stays_within_a_fifth_of_a_millimetre(slipping: Lockstep) -> None:
+    slipping.run(5.0)
+    before_mm, off = slipping.rig.truth.stroke_mm, [0.0]
+    assert slipping.command(Verb.CARRY, 10.0) is Refusal.NONE
+    assert before_mm - slipping.rig.truth.stroke_mm < 0.2, "until it has it"
+    carried_mm = slipping.rig.truth.stroke_mm
+    slipping.on_advance = lambda: off.append(abs(slipping.rig.truth.stroke_mm - carried_mm))
+    slipping.run(5.0)
+    assert max(off) < 0.2
+
+
+def test_a_carried_load_may_be_released_and_no_other(slipping: Lockstep) -> None:
+    assert slipping.command(Verb.RELEASE) is Refusal.WRONG_MODE
+    assert slipping.command(Verb.CARRY, 60.0) is Refusal.NONE
+    assert slipping.command(Verb.RELEASE) is Refusal.NONE
+    assert slipping.loop.machine.mode is Mode.RELEASING
+    slipping.run(10.0)
+    assert slipping.rig.truth.tension_n < slipping.settings.tension.slack_n
+    assert (slipping.loop.machine.mode, slipping.loop.machine.fault) == (Mode.FAULT, Fault.STROKE_MOVES)
+
+
+def test_the_emergency_stop_bars_a_carry_and_ends_it(slipping: Lockstep) -> None:
+    slipping.rig.drive.press_e_stop(True)
+    slipping.run(0.2)
+    assert slipping.command(Verb.CARRY, 60.0) is Refusal.CAUSE_PRESENT
+    slipping.rig.drive.press_e_stop(False)
+    slipping.run(2.5)
+    assert not slipping.rig.drive.control.enabled
+
+
+def test_no_carry_after_the_last_resort(slipping: Lockstep) -> None:
+    slipping.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.SILENCE), slipping.clock.now())
+    slipping.run(0.5)
+    assert slipping.command(Verb.CARRY, 60.0) is Refusal.WRONG_MODE
 
 
 def test_a_carry_is_prolonged_by_another(slipping: Lockstep) -> None:

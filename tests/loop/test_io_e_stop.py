@@ -87,9 +87,9 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: 
     assert machine.fault is Fault.E_STOP  # latched
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.2)
-    assert (machine.mode, machine.fault) == (Mode.HOLD, Fault.NONE)
+    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED, "a reset switches nothing on"
-    assert rig.command(Verb.TENSION) is Refusal.NONE
+    assert rig.command(Verb.ARM) is Refusal.NONE
 
 
 def test_while_disarmed_it_is_latched_too_and_nobody_arms(rig: Lockstep) -> None:

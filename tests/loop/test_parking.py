@@ -8,21 +8,24 @@ import numpy as np
 import pytest
 
 from hil.faults import stand
-from hil.faults.in_device import SPEED, STROKE, both, creeps, reads, stuck
+from hil.faults.in_device import SPEED, STROKE, both, brake_slips, creeps, reads, stuck
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
+from hil.nodes.cylinder_drive import ServiceTool
 from rigctl.config.settings import RigSettings
 from rigctl.control import orders
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
+from rigctl.control.load_at_rest import REST_NS
 from rigctl.control.machine import ARM_LIMIT_NS
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from tests.builders.branches import Started
 
+REST_S = REST_NS * 1e-9
 HELD_MM, HELD_SHARE = 1.0, 0.03  # the promise to whoever relies on a held load
 TAKEN_S = 0.2  # the drive's states and its brake, beside the tick that finds them
 
@@ -131,11 +134,28 @@ def test_a_fault_is_held_by_the_brake_whatever_the_encoder_shows(held: Lockstep,
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_a_fault_parks_as_soon_as_the_stroke_stands_still(rig: Lockstep) -> None:
     rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), rig.clock.now())
-    records = rig.run(1.0)
-    parked = records["held_by"] == HeldBy.BRAKE
-    assert parked[-1]
-    assert np.argmax(parked) < 0.6 * rig.settings.loop.rate_hz  # 0.2 s at standstill and the brake's 0.1 s
+    for _ in range(round(0.6 * rig.settings.loop.rate_hz)):  # 0.2 s at standstill and the brake's 0.1 s
+        if rig.rig.drive.control.stage.braked:
+            break
+        rig.tick()
+    assert rig.rig.drive.control.stage.braked
+    assert held_by(rig) is HeldBy.CLOSING, "the load has not been seen at rest for so long yet"
+    records = rig.run(REST_S + 0.5)
+    assert set(records["held_by"]) == {HeldBy.CLOSING, HeldBy.BRAKE}
+    assert records["held_by"][-1] == HeldBy.BRAKE
     assert rig.loop.machine.mode is Mode.FAULT
+
+
+def test_a_load_that_moves_on_the_closed_brake_is_not_held_by_it(parked: Lockstep) -> None:
+    """Behind an encoder that has stuck: the drive is off, and the tension falls."""
+    assert held_by(parked) is HeldBy.BRAKE
+    put_in(parked, both(brake_slips(0.1), both(stuck(STROKE), reads(SPEED, times=0.0))))
+    parked.run(2.5)
+    assert held_by(parked) is HeldBy.UNKNOWN
+    assert not parked.rig.drive.control.enabled
+    parked.rig.drive.brake.slip_mm_s = 0.0
+    parked.run(REST_S + 0.5)
+    assert held_by(parked) is HeldBy.BRAKE
 
 
 def test_no_command_of_no_consequence_keeps_the_motor_on(held: Lockstep) -> None:
@@ -159,6 +179,7 @@ def test_a_parked_hold_is_left_by_taking_the_load_back(parked: Lockstep, verb: V
     before, since = parked.rig.truth.tension_n, parked.clock.now()
     assert parked.command(verb) is Refusal.NONE
     assert parked.loop.machine.mode is mode, "it is answered when the motion begins"
+    assert 0.0 < float(parked.reply["taken_s"]) <= TAKEN_S, "the answer names it"
     assert parked.clock.now() - since <= TAKEN_S * 1e9
     assert parked.rig.truth.tension_n == pytest.approx(before, rel=HELD_SHARE)
     assert not parked.rig.drive.control.stage.braked
@@ -169,6 +190,7 @@ def test_a_whole_cycle_from_a_parked_hold_and_back(parked: Lockstep) -> None:
     assert parked.command(Verb.TENSION) is Refusal.NONE
     parked.run_until(Mode.COMPENSATING, 10.0)
     assert parked.command(Verb.HOLD) is Refusal.NONE
+    assert np.isnan(parked.reply["taken_s"])
     assert held_by(parked) is HeldBy.MOTOR
     parked.run(3.0)
     assert held_by(parked) is HeldBy.BRAKE
@@ -260,6 +282,7 @@ def test_no_brake_test_of_two_seconds_is_made_again(parked: Lockstep) -> None:
 def test_a_trial_has_the_motor_hold_by_name_and_for_a_stated_time(parked: Lockstep) -> None:
     parked.events.read()
     assert parked.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE
+    assert 0.0 < float(parked.reply["taken_s"]) <= TAKEN_S, "without the trial's own time"
     told = [event for event in parked.events.read() if int(event["kind"]) == Kind.HELD]
     powered = [event for event in told if int(event["b"]) == HeldBy.MOTOR]
     assert [bytes(event["text"]).rstrip(b"\0") for event in powered] == [b"IDENTIFY"]
@@ -289,7 +312,7 @@ def test_a_measurement_at_rest_runs_with_the_load_on_the_brake(rig: Lockstep, ve
 
 # -- reset -----------------------------------------------------------------------------------------------------------
 def test_a_reset_leads_to_a_parked_hold_and_from_there_on(parked: Lockstep) -> None:
-    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), parked.clock.now())
+    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), parked.clock.now())
     parked.run(2.0)
     assert parked.command(Verb.RESET) is Refusal.NONE
     assert parked.loop.machine.mode is Mode.HOLD
@@ -297,6 +320,58 @@ def test_a_reset_leads_to_a_parked_hold_and_from_there_on(parked: Lockstep) -> N
     read_backs(parked)
     assert parked.command(Verb.TENSION) is Refusal.NONE
     assert read_backs(parked) == 1, "after a fault every object is read back"
+
+
+@pytest.mark.parametrize("action", [Action.QUICK_STOP, Action.POWER_OFF])
+def test_a_fault_that_took_the_power_off_is_reset_to_disarmed(held: Lockstep, action: Action) -> None:
+    held.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, action), held.clock.now())
+    held.run(2.0)
+    assert held.command(Verb.RESET) is Refusal.NONE
+    assert held.loop.machine.mode is Mode.DISARMED
+
+
+@pytest.mark.parametrize("in_hold_for_s", [0.5, pytest.param(4.0, marks=pytest.mark.study)])
+def test_an_emergency_stop_is_reset_to_disarmed(held: Lockstep, in_hold_for_s: float) -> None:
+    held.run(in_hold_for_s)
+    held.rig.drive.press_e_stop(True)
+    held.run(1.0)
+    held.rig.drive.press_e_stop(False)
+    held.run(2.0)
+    assert held.loop.machine.mode is Mode.FAULT
+    assert held.command(Verb.RESET) is Refusal.NONE
+    assert held.loop.machine.mode is Mode.DISARMED
+
+
+def test_a_drive_that_went_off_by_itself_is_reset_to_disarmed(held: Lockstep) -> None:
+    held.rig.drive.enable_by_wire(False)
+    held.run(1.0)
+    held.rig.drive.enable_by_wire(True)
+    held.run(2.0)
+    assert held.loop.machine.fault is Fault.DRIVE_NOT_FOLLOWING
+    assert held.command(Verb.RESET) is Refusal.NONE
+    assert held.loop.machine.mode is Mode.DISARMED
+
+
+def test_disarming_a_parked_hold_is_answered_at_once(parked: Lockstep) -> None:
+    since = parked.clock.now()
+    assert parked.command(Verb.DISARM) is Refusal.NONE
+    assert parked.clock.now() - since <= 5_000_000  # ticks
+    assert parked.loop.machine.mode is Mode.DISARMED
+
+
+def test_a_drive_that_is_switched_on_while_parked_is_a_fault(parked: Lockstep) -> None:
+    """The checks of DISARMED hold: powered unasked."""
+    parked.rig.drive.take_over(ServiceTool(0.0))
+    parked.run(1.0)
+    assert parked.loop.machine.fault in (Fault.DRIVE_UNASKED, Fault.DRIVE_REFUSES)
+
+
+def test_gains_and_targets_of_a_parked_load_move_nothing(parked: Lockstep) -> None:
+    assert parked.command(Verb.TARGET, 250.0) is Refusal.NONE
+    assert parked.command(Setting.LAW_GAINS, 0.5, 0.1, 0.2) is Refusal.NONE
+    assert stays(parked, 2.0)
+    assert held_by(parked) is HeldBy.BRAKE
+    assert parked.loop.law.target_n == 250.0
 
 
 def test_a_fault_that_was_disarmed_is_reset_to_disarmed(parked: Lockstep) -> None:

@@ -11,13 +11,15 @@ from hil.cli import faults as command
 from hil.faults import fault_tables as output
 from hil.faults import lockstep_rows as study
 from hil.faults import processes
-from hil.faults.catalogue import BY_ID, CATALOGUE
+from hil.faults.catalogue import BY_ID, CATALOGUE, PARKED, ROWS
 from hil.faults.expected import ARMED, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
 from hil.faults.lockstep_run import Bench, by_start
+from hil.faults.rows_brake import BRAKE
+from hil.faults.rows_creep import CREEP
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.control import modes, safety
+from rigctl.control import modes, observer, safety
 from rigctl.control.escalation import Escalator
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
@@ -46,7 +48,7 @@ def bench() -> Bench:
 
 
 def row(bench: Bench, name: str, mode: Mode) -> FaultResult:
-    return study.row_of(bench, BY_ID[name], mode)
+    return study.row_of(bench, ROWS[name], mode)
 
 
 # -- the table ------------------------------------------------------------------------------------------------------
@@ -71,9 +73,10 @@ def test_no_fault_is_expected_to_end_in_a_release() -> None:
     """Hold is safe, release is not: only riding through, holding or losing power is ever expected."""
     moves = {(fault.id, mode) for fault in WHOLE for mode in fault.expected if fault.expected[mode] is Reaction.MOVES}
     # The loop must not switch a motor on by itself to hold the load for a bad brake, on which HOLD and FAULT end too.
-    slips = {fault.id for fault in CATALOGUE if fault.id.startswith("encoder_stuck_brake_slips")}
+    slips = {fault.id for fault in CREEP if fault.id.startswith("encoder_stuck_brake_slips")}
     at_rest = {"brake_stuck_open", "brake_slips_slowly", *slips}
-    on_brake = {("brake_stuck_open", Mode.HOLD), ("brake_stuck_open", Mode.FAULT)}
+    later = {fault.id for fault in BRAKE if "later" in fault.id or "reset" in fault.id}  # than a parking's first second
+    on_brake = {(name, mode) for name in later for mode in (Mode.HOLD, Mode.FAULT)}
     assert moves == {(name, Mode.DISARMED) for name in at_rest} | on_brake
     for fault in WHOLE:
         assert not set(fault.expected.values()) & {Reaction.LEFT, Reaction.ARMED}
@@ -138,6 +141,14 @@ PLAYED = [
     ("torque_late", Mode.HOLD),
     ("torque_lost", Mode.FAULT),
     ("torque_lost_free", Mode.COMPENSATING),
+    ("cell_silent_parked", Mode.HOLD),
+    ("drive_silent_parked", Mode.FAULT),
+    ("creep_down_450_parked", Mode.HOLD),
+    ("brake_stuck_open", Mode.HOLD),
+    ("brake_stuck_open_parked", Mode.HOLD),
+    ("brake_slips_parking", Mode.HOLD),
+    ("brake_closes_late", Mode.FAULT),
+    ("encoder_stuck_brake_slips_reset_arm", Mode.HOLD),
 ]
 """One row of each kind."""
 
@@ -186,6 +197,7 @@ def test_a_rig_that_shows_the_power_off_while_the_motor_has_it_is_found_out(monk
     """By the drive's state alone: it reports READY TO SWITCH ON from the begin of a ramp that does not end."""
     by_state = property(lambda observer: observer.snapshot.off_ns >= observer._brake_ns)
     monkeypatch.setattr(Observer, "braked", by_state)
+    monkeypatch.setattr(observer, "held_by", lambda mode, **found: modes.held_by(mode, **{**found, "rests": True}))
     found = row(new_bench(), "torque_lost", Mode.FAULT)
     assert any(text.startswith("power off shown") for text in found.findings)
 
@@ -244,6 +256,21 @@ def test_what_is_not_as_expected_comes_first_and_ends_with_1(
     said = capsys.readouterr().out.splitlines()
     assert said[1].startswith("cell_overload")
     assert "1 not as expected" in said[-1]
+
+
+def test_hold_and_fault_are_played_parked_too_unless_a_mode_is_named() -> None:
+    def chosen(*modes: str) -> list[tuple[str, Mode]]:
+        return [(fault.id, mode) for fault, mode in command.choose(["cell_silent"], modes).lockstep]
+
+    parked = [("cell_silent_parked", Mode.HOLD), ("cell_silent_parked", Mode.FAULT)]
+    assert chosen() == [*(("cell_silent", mode) for mode in Mode), *parked]
+    assert chosen("HOLD") == [("cell_silent", Mode.HOLD)]
+    assert chosen("HOLD_PARKED") == parked[:1]
+    assert chosen("FAULT_PARKED", "HOLD") == [("cell_silent", Mode.HOLD), *parked[1:]]
+    assert len(PARKED) > 150
+    for played in PARKED.values():
+        slips = Reaction.MOVES in played.expected.values() or not played.carried
+        assert slips or played.held_mm <= 1.0, played.id
 
 
 @pytest.mark.parametrize(

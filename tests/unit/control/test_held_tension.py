@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 
@@ -21,6 +22,7 @@ from rigctl.control.held_tension import (
     cell_n,
     fall_limit_n,
     in_words,
+    smallest_creep_mm_s,
     stretch_limit_mm,
 )
 from rigctl.control.snapshot import Snapshot
@@ -211,3 +213,22 @@ def test_the_limits_follow_the_stiffness_and_the_cell_and_are_printed() -> None:
     words = in_words(SETTINGS)
     assert "disagree by 0.5 mm (2.98 N) if that grows, else by 0.8 mm (4.77 N) or 2.6% of the load" in words
     assert "fall by 1.19 N (0.2 mm) if it goes on, else by 2.6% of the load for 10 s" in words
+
+
+@pytest.mark.parametrize("park_s", [0.5, 2.0, 30.0])
+@pytest.mark.parametrize("spring_n_mm", [6.0, 35.2])
+def test_the_smallest_creep_that_is_printed_is_seen_before_the_parking_and_a_slower_one_is_not(
+    park_s: float, spring_n_mm: float
+) -> None:
+    """A stuck encoder: the tension alone moves."""
+    settings = changed(of_spring(spring_n_mm), {"hold.park_s": park_s})
+    creep_mm_s, k = smallest_creep_mm_s(settings), settings.plant.stiffness_n_mm
+    assert f"{creep_mm_s:.2g} mm/s" in in_words(settings)
+    for share, seen in ((1.15, True), (0.85, False)):
+        speed_n_s = k * share * creep_mm_s
+        held = Held(settings, motor=True).run(park_s, functools.partial(_falling, speed_n_s))
+        assert bool(held.trips) is seen
+
+
+def _falling(speed_n_s: float, t_s: float) -> float:
+    return 300.0 - speed_n_s * t_s

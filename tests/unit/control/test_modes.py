@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Answer
+from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Answer, Machine
 from rigctl.control.modes import (
     FILED,
     TRANSITIONS,
     TRIED_IN,
     Decision,
     Event,
+    HeldBy,
     Mode,
     Refusal,
     Setting,
@@ -25,6 +26,7 @@ from rigctl.control.modes import (
     Verb,
     command_slot,
     decide,
+    held_by,
     next_mode,
 )
 from rigctl.control.safety import Action, Trip
@@ -65,7 +67,42 @@ def test_what_happens_by_itself_moves_the_rig_only_where_it_means_something(mode
 
 def test_only_a_reset_and_the_lowering_of_the_load_leave_a_fault() -> None:
     leaving = {event for event in Event if next_mode(Mode.FAULT, event) is not Mode.FAULT}
-    assert leaving == {Event.RESET_HELD, Event.RESET_OFF, Event.LOWER}
+    assert leaving == {Event.RESET_HELD, Event.RESET_OFF, Event.LOWER, Event.RELEASE}
+
+
+def test_a_release_in_fault_needs_the_motor_to_carry_a_tight_rope() -> None:
+    assert decide(Mode.FAULT, Verb.RELEASE, READY).refusal is Refusal.WRONG_MODE
+    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried=True)).event is Event.RELEASE
+    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried=True, slack=True)).refusal is Refusal.ALREADY
+
+
+def test_no_carry_while_the_emergency_stop_is_pressed() -> None:
+    may = replace(READY, carry_s=10.0)
+    assert decide(Mode.FAULT, Verb.CARRY, may).refusal is Refusal.NONE
+    assert decide(Mode.FAULT, Verb.CARRY, replace(may, e_stop=True)).refusal is Refusal.CAUSE_PRESENT
+
+
+@pytest.mark.parametrize(
+    ("known", "braked", "rests", "settles", "by"),
+    [
+        (True, True, True, False, HeldBy.BRAKE), (True, True, False, True, HeldBy.CLOSING),
+        (True, True, False, False, HeldBy.UNKNOWN), (True, False, True, True, HeldBy.CLOSING),
+        (False, True, True, False, HeldBy.UNKNOWN),
+    ],
+)  # fmt: skip
+def test_the_brake_holds_a_load_that_is_at_rest_with_the_drive_off(
+    known: bool, braked: bool, rests: bool, settles: bool, by: HeldBy
+) -> None:
+    found = held_by(Mode.HOLD, known=known, braked=braked, rests=rests, settles=settles, taking=False, powered=False)
+    assert found is by
+
+
+@pytest.mark.parametrize("action", Action)
+def test_what_took_the_power_off_is_armed_anew(action: Action) -> None:
+    machine = Machine()
+    machine.mode, machine.armed = Mode.HOLD, True
+    machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, action), 0)
+    assert machine.armed is (action < Action.QUICK_STOP)
 
 
 ACCEPTED = {

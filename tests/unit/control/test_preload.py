@@ -6,32 +6,44 @@ import math
 
 import pytest
 
-from rigctl.control.modes import HeldBy
 from rigctl.control.preload import Preload
 from rigctl.control.snapshot import Snapshot
 from tests.builders.rig_bench import SETTINGS
 
-
-def looked(preload: Preload, held_by: HeldBy, tension_n: float, quality: int = 0) -> float:
-    return preload.look(Snapshot(held_by=held_by, tension_n=tension_n, cell_quality=quality))
+BRAKED_NS = SETTINGS.cylinder.brake_delay_ms * 1_000_000
 
 
-@pytest.mark.parametrize("held_by", [held_by for held_by in HeldBy if held_by is not HeldBy.BRAKE])
-def test_it_stays_while_anything_but_the_brake_holds_the_load(held_by: HeldBy) -> None:
+def looked(
+    preload: Preload, off_ns: int, tension_n: float, cell_quality: int = 0, cell_age_ns: int = 0, drive_age_ns: int = 0
+) -> float:
+    return preload.look(
+        Snapshot(
+            drive_off=off_ns > 0, off_ns=off_ns, tension_n=tension_n, cell_quality=cell_quality,
+            cell_age_ns=cell_age_ns, drive_age_ns=drive_age_ns,
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("off_ns", [0, BRAKED_NS - 1])
+def test_it_stays_until_the_drive_has_been_off_for_its_brakes_time(off_ns: int) -> None:
     preload = Preload(SETTINGS)
-    assert looked(preload, held_by, 300.0) == 0.0
-    assert looked(preload, HeldBy.BRAKE, 120.0) == 120.0
-    assert looked(preload, held_by, 300.0) == 120.0
-    assert looked(preload, HeldBy.BRAKE, 300.0) == 300.0
+    assert looked(preload, off_ns, 300.0) == 0.0
+    assert looked(preload, BRAKED_NS, 120.0) == 120.0
+    assert looked(preload, off_ns, 300.0) == 120.0
+    assert looked(preload, BRAKED_NS, 300.0) == 300.0
 
 
-@pytest.mark.parametrize(("tension_n", "quality"), [(math.nan, 0), (math.inf, 0), (50.0, 1)])
-def test_a_tension_that_is_not_known_changes_nothing(tension_n: float, quality: int) -> None:
+@pytest.mark.parametrize(
+    ("tension_n", "more"),
+    [(math.nan, {}), (math.inf, {}), (50.0, {"cell_quality": 1}), (50.0, {"cell_age_ns": 1 << 40}),
+     (50.0, {"drive_age_ns": 1 << 40})],
+)  # fmt: skip
+def test_a_tension_or_a_drive_that_is_not_known_changes_nothing(tension_n: float, more: dict[str, int]) -> None:
     preload = Preload(SETTINGS)
-    looked(preload, HeldBy.BRAKE, 200.0)
-    assert looked(preload, HeldBy.BRAKE, tension_n, quality) == 200.0
+    looked(preload, BRAKED_NS, 200.0)
+    assert looked(preload, BRAKED_NS, tension_n, **more) == 200.0
 
 
 @pytest.mark.parametrize(("tension_n", "force_n"), [(-5.0, 0.0), (1e4, SETTINGS.safety.tension_high_n)])
 def test_it_is_a_load_that_a_rope_may_have(tension_n: float, force_n: float) -> None:
-    assert looked(Preload(SETTINGS), HeldBy.BRAKE, tension_n) == force_n
+    assert looked(Preload(SETTINGS), BRAKED_NS, tension_n) == force_n

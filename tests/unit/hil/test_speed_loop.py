@@ -111,3 +111,29 @@ def test_an_ideal_motor_never_yields() -> None:
     ideal.take_over(300.0, 0.0)
     assert ideal.carry(GRID_S) == (0.0, 0.0)
     assert ideal.against_brake(300.0) == 300.0
+
+
+@pytest.mark.parametrize("torque_s", [0.005, 0.02])
+def test_the_torque_of_the_offset_builds_up_in_its_time(torque_s: float) -> None:
+    loop = SpeedLoop(MOVED_KG, BANDWIDTH_HZ, MOST_N, torque_s)
+    loop.offset_n = 100.0
+    assert loop.against_brake(300.0) == 0.0
+    loop.build_up(torque_s / 2.0)
+    assert loop.against_brake(300.0) == pytest.approx(50.0)
+    loop.build_up(torque_s)
+    assert loop.against_brake(300.0) == 100.0
+    loop.switch_off()
+    assert loop.against_brake(300.0) == 0.0
+
+
+def test_a_brake_that_opens_before_the_torque_is_there_lets_the_load_sink_meanwhile_and_not_in_the_end() -> None:
+    loop = SpeedLoop(MOVED_KG, BANDWIDTH_HZ, MOST_N, 0.02)
+    loop.offset_n = 300.0
+    loop.take_over(300.0, 0.0)
+    off, ways = 0.0, []
+    for _ in range(500):
+        loop.build_up(GRID_S)
+        off += loop.carry(GRID_S)[0]
+        ways.append(off)
+    assert min(ways) < -0.05
+    assert ways[-1] == pytest.approx(0.0, abs=1e-6)

@@ -7,7 +7,7 @@ import pytest
 
 from rigctl.ipc.record import REPLY, figure_of
 
-FIGURES = [field.name for field in REPLY.fields if field.unit and field.name not in ("t_ns", "rms_n")]
+FIGURES = [field.name for field in REPLY.fields if field.unit and field.name not in ("t_ns", "rms_n", "taken_s")]
 
 
 def reply(**figures: float) -> np.void:
@@ -22,4 +22,4 @@ def test_a_reply_has_the_figure_that_was_given(name: str) -> None:
 
 
 def test_a_reply_without_a_figure_has_none() -> None:
-    assert figure_of(reply()) == figure_of(reply(rms_n=0.03)) == 0.0
+    assert figure_of(reply()) == figure_of(reply(rms_n=0.03)) == figure_of(reply(taken_s=0.2)) == 0.0

@@ -113,6 +113,15 @@ def test_every_answer_has_one_line(verb: Verb, mode: Mode, refusal: Refusal) -> 
     msgspec.json.encode(found)
 
 
+@pytest.mark.parametrize("verb", [Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.CARRY])
+def test_the_answer_to_what_takes_the_load_back_says_so_with_its_time(verb: Verb) -> None:
+    reply = reply_of(accepted=True, reason=0, checks=0, mode=int(Mode.TENSIONING), target_n=300.0, taken_s=0.23)
+    text = answer(Request(verb, "kim"), reply, NewestRecord(target_n=300.0), LIMITS)["text"]
+    assert text.startswith(f"{verb.name}: taking the load from the brake, 0.2 s; ")
+    without = reply_of(accepted=True, reason=0, checks=0, mode=int(Mode.TENSIONING), target_n=300.0)
+    assert "brake" not in answer(Request(verb, "kim"), without, NewestRecord(target_n=300.0), LIMITS)["text"]
+
+
 def test_arm_at_an_end_is_an_option_of_arm_alone_and_reaches_the_loop() -> None:
     payload = msgspec.json.encode({"operator": "kim", "near_end": True})
     assert parse(Verb.ARM, payload).number == 1.0
