@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from rigctl.control.modes import DrivePower, HeldBy
+from rigctl.control.modes import DrivePower
 from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, DriveState, drive_state
 
 
-def drive_shown(statusword: int, held_by: int) -> tuple[DriveState, DrivePower]:
-    """The state that a statusword reports, and whether it is off, by what carries the load in the same tick."""
+def drive_shown(statusword: int, *, off: bool, taking: bool) -> tuple[DriveState, DrivePower]:
+    """The state that a statusword reports, and whether the power is off.
+
+    Args:
+        statusword: as the drive has sent it.
+        off: it has reported a state without power for its brake's time, see `rigctl.ipc.record.Flag`.
+        taking: it has been commanded on, and is not enabled yet.
+    """
     state = drive_state(statusword)
-    if state in UNPOWERED_STATES and held_by == HeldBy.BRAKE:
+    if off:
         return state, DrivePower.OFF
     stops = state in STOPPING_STATES or state in UNPOWERED_STATES
-    return state, DrivePower.STOPPING if stops and held_by != HeldBy.TAKING else DrivePower.NOT_OFF
+    return state, DrivePower.STOPPING if stops and not taking else DrivePower.NOT_OFF

@@ -90,6 +90,7 @@ class Flag(IntFlag):
     DRIVE_ENABLED = 32
     STOPPING = 64
     STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
+    DRIVE_OFF = 8192  # the drive has reported a state without power for as long as its brake takes to close
 
 
 RECORD = Slot("record", tuple(Field(row.name, row.code, row.unit, row.meaning) for row in RECORDED))

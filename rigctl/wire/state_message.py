@@ -248,7 +248,8 @@ def _drive_of(values: Mapping[str, Any]) -> dict[str, str | None]:
     """``drive_state`` and ``drive_power``, which are not assumed where the drive is not heard."""
     if values["drive_quality"]:
         return {"drive_state": None, "drive_power": None}
-    state, power = drive_shown(values["statusword"], values["held_by"])
+    off, taking = bool(values["flags"] & Flag.DRIVE_OFF), values["held_by"] == HeldBy.TAKING
+    state, power = drive_shown(values["statusword"], off=off, taking=taking)
     return {"drive_state": state.name, "drive_power": power.name}
 
 

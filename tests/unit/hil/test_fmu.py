@@ -65,6 +65,7 @@ def close(found: np.ndarray[Any, Any], truth: list[Truth]) -> None:
         assert np.max(np.abs(found[name] - own)) <= RELATIVE * np.max(np.abs(own)), name
 
 
+@pytest.mark.study
 def test_the_papers_move_is_the_plants(tmp_path: pathlib.Path) -> None:
     settings, file = paper(), tmp_path / "plant.fmu"
     make(settings, file)

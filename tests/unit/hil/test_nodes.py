@@ -186,7 +186,7 @@ def test_sdo_refuses_what_the_dictionary_does_not_allow(bench: RigBench) -> None
 
 
 @given(st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=40))
-@hypothesis_settings(max_examples=100, deadline=None)
+@hypothesis_settings(deadline=None)
 def test_no_frame_whatever_gets_out_of_a_device(frames: list[tuple[int, bytes]]) -> None:
     bench = RigBench()
     bench.nmt(START)
@@ -198,7 +198,7 @@ def test_no_frame_whatever_gets_out_of_a_device(frames: list[tuple[int, bytes]])
 
 
 @given(st.sampled_from(NODES), st.lists(st.binary(min_size=8, max_size=8), max_size=20))
-@hypothesis_settings(max_examples=100, deadline=None)
+@hypothesis_settings(deadline=None)
 def test_no_sdo_request_whatever_breaks_the_server(node: int, requests: list[bytes]) -> None:
     bench = RigBench()
     for request in requests:

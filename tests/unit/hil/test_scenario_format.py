@@ -190,7 +190,7 @@ _KEYS = st.sampled_from(
 _TREES = st.recursive(_LEAVES, lambda x: st.lists(x, max_size=3) | st.dictionaries(_KEYS, x, max_size=4), max_leaves=12)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.sampled_from(sorted(Scenario.model_fields)), _TREES)
 def test_any_data_is_a_scenario_or_refused_in_lines(tmp_path_factory: Any, key: str, value: Any) -> None:
     import yaml
@@ -205,7 +205,7 @@ def test_any_data_is_a_scenario_or_refused_in_lines(tmp_path_factory: Any, key: 
         assert all("found" in line or "cannot be read" in line for line in error.findings)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.integers(0, len(GOOD)), st.integers(0, 40), st.text(max_size=8))
 def test_any_damage_leaves_a_scenario_or_is_refused(tmp_path_factory: Any, at: int, length: int, new: str) -> None:
     file = tmp_path_factory.getbasetemp() / "damaged.yaml"

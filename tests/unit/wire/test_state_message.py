@@ -92,17 +92,15 @@ def test_a_signal_that_never_came_has_no_age() -> None:
 
 @pytest.mark.parametrize("held_by", HeldBy)
 @pytest.mark.parametrize("drive", DriveState)
-def test_a_drive_is_off_only_in_a_state_without_power_once_its_brake_has_had_its_time(
+def test_a_drive_is_off_once_the_loop_has_seen_it_off_whatever_carries_the_load(
     drive: DriveState, held_by: HeldBy
 ) -> None:
     found = state(record(statusword=0x1200 | drive, held_by=held_by))
-    unpowered = drive in (DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.FAULT)
     assert found["drive_state"] == drive.name
-    assert (found["drive_power"] == "OFF") is (unpowered and held_by is HeldBy.BRAKE)
-    if drive in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED) or held_by is HeldBy.TAKING:
-        assert found["drive_power"] == "NOT_OFF"
-    elif held_by is not HeldBy.BRAKE:
-        assert found["drive_power"] == "STOPPING"
+    powered = drive in (DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED) or held_by is HeldBy.TAKING
+    assert found["drive_power"] == ("NOT_OFF" if powered else "STOPPING")
+    off = state(record(statusword=0x1200 | drive, held_by=held_by, flags=Flag.DRIVE_OFF))
+    assert off["drive_power"] == "OFF"
 
 
 def test_the_state_of_a_drive_that_is_not_heard_is_not_shown() -> None:
