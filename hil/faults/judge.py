@@ -13,7 +13,8 @@ from hil.faults.lockstep_run import Floats, Run, TripEvent
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal
+from rigctl.control.modes import Mode, PowerOff, Refusal
+from rigctl.ipc.record import Flag
 
 STANDS_MM = 0.1
 """A held stroke moves less than this once it has come to rest ..."""
@@ -169,7 +170,7 @@ def _shown_off(run: Run, late_s: float, *, off_before: bool) -> list[str]:
     That is the age of the statusword shown: a record shows what was sent before it. ``off_before``: the motor had none
     until the fault.
     """
-    shown = (run.records["held_by"] == HeldBy.BRAKE) | np.isin(run.records["power_off"], _CONFIRMED)
+    shown = (run.records["flags"] & Flag.DRIVE_OFF != 0) | np.isin(run.records["power_off"], _CONFIRMED)
     off_s = np.append(run.t_s[~run.powered], -math.inf)
     off_s.sort()
     first_s = 0.0 if off_before else run.t_s[0] - late_s

@@ -104,9 +104,9 @@ fault; else one object after the other, all the time |
 | computer, calibration, distance from the ends of the stroke | yes | never: nothing of it has changed since |
 
 A parking whose brake slips in its first second is undone: where stroke and tension both show that the load has sunk by
-{UNDO_MM:g} mm within {UNDO_NS * 1e-9:g} s and no other cause is active, the motor that has just held it takes it back,
-in FAULT (BRAKE_SLIPS), and carries it as by `carry`, for {LOWERED_NS // 60_000_000_000} min. Later, or by one of the
-two alone, nothing is switched on but by `carry`.
+{UNDO_MM:g} mm within {UNDO_NS * 1e-9:g} s and no other cause is active, the motor takes it back
+that has just held it at standstill, in FAULT (BRAKE_SLIPS), and carries it as by `carry`, for
+{LOWERED_NS // 60_000_000_000} min. Later, or by one of the two alone, nothing is switched on but by `carry`.
 
 ## A brake that slips
 

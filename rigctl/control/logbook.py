@@ -79,7 +79,7 @@ class Logbook:
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= 0 if stroke_known else _UNCONFIRMED
-        flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.braked else 0)
+        flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.shown_off else 0)
         values = self._values
         values.t_ns = t_ns
         values.tick = self.tick

@@ -414,7 +414,7 @@ class Loop:
             self._carry_on(t_ns)
         elif self._parking.due(t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns):
             machine.park(went_off=not self.observer.snapshot.drive_enabled)
-            self._first_second.begin()
+            self._first_second.begin(self.observer.snapshot)
 
     def _undo_parking(self, t_ns: int) -> None:
         """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong."""

@@ -242,6 +242,11 @@ class Observer:
         off_ns = min(snapshot.off_ns, self._not_on_ns, max(snapshot.still_ns, self._cut_ns))
         return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
 
+    @property
+    def shown_off(self) -> bool:
+        """The same, up to the tick that sends a word that leads to power."""
+        return self.braked and self._outbox.controlword not in _ON_COMMANDS
+
     def look_at_load(self) -> None:
         """What carries the load, whether it rests and a power off is confirmed, after this tick's decision."""
         snapshot, machine, rest = self.snapshot, self._machine, self._load_rest

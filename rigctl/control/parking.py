@@ -82,10 +82,10 @@ class FirstSecond:
         self.sank_mm = 0.0
         self.end()
 
-    def begin(self) -> None:
-        """The brake is to take the load."""
+    def begin(self, snapshot: Snapshot) -> None:
+        """The brake is to take the load. A motor that has not held it at standstill is not to have it back."""
         self.end()
-        self._parks = True
+        self._parks = snapshot.drive_enabled and snapshot.still_ns >= STILL_NS
 
     def end(self) -> None:
         """The second is over, or something else has been decided about the load."""

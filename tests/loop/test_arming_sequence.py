@@ -66,8 +66,8 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
         assert rig.clock.now() < until_ns
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert rig.loop.observer.snapshot.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
-    assert rig.loop.machine.mode is Mode.HOLD
-    assert rig.command(Verb.TENSION) is Refusal.NONE
+    assert rig.loop.machine.mode is Mode.DISARMED, "a quick stop takes the power off: a whole arming follows"
+    assert rig.command(Verb.ARM) is Refusal.NONE
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

@@ -154,7 +154,7 @@ PLAYED = [
 
 
 @pytest.mark.parametrize(
-    ("name", "mode"), [(fault.id, mode) for fault, mode in by_start((BY_ID[name], mode) for name, mode in PLAYED)]
+    ("name", "mode"), [(fault.id, mode) for fault, mode in by_start((ROWS[name], mode) for name, mode in PLAYED)]
 )
 def test_it_comes_to_what_is_expected(bench: Bench, name: str, mode: Mode) -> None:
     found = row(bench, name, mode)
