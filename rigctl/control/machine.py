@@ -52,7 +52,7 @@ class Answer:
 class PendingCommand(NamedTuple):
     """An accepted command that waits for the drive, and its event once the drive is enabled.
 
-    ``id`` is None where no operator has given it, so that nobody waits for the answer.
+    ``id`` is None where no operator has given it: it has no answer.
     """
 
     id: int | None
@@ -284,8 +284,10 @@ class Machine:
             self._finish_pending(Refusal.ABORTED)
         return None
 
-    def _answer(self, id_: int, verb: Verb, refusal: Refusal) -> Refusal:
-        self._answers.append(Answer(id_, verb, refusal))
+    def _answer(self, id_: int | None, verb: Verb, refusal: Refusal) -> Refusal:
+        """Answer a command; one that no operator has given, ``id_`` None, has no answer."""
+        if id_ is not None:
+            self._answers.append(Answer(id_, verb, refusal))
         return refusal
 
     def follow_drive(
@@ -305,8 +307,7 @@ class Machine:
             elif not drive_faulted:
                 self._pending = None
                 self._accept(Verb.RESET, pending.event, t_ns, 0)
-                if pending.id is not None:
-                    self._answer(pending.id, Verb.RESET, Refusal.NONE)
+                self._answer(pending.id, Verb.RESET, Refusal.NONE)
             elif t_ns >= self._pending_until:
                 self._finish_pending(Refusal.DRIVE_STATE)
                 self.fault = Fault.DRIVE_FAULT
@@ -324,8 +325,7 @@ class Machine:
             self._trial = pending.id, pending.verb
             return False
         self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
-        if pending.id is not None:
-            self._answer(pending.id, pending.verb, Refusal.NONE)
+        self._answer(pending.id, pending.verb, Refusal.NONE)
         return False
 
     def follow_off(self, t_ns: int, *, off: bool) -> None:
@@ -400,6 +400,5 @@ class Machine:
 
     def _finish_pending(self, refusal: Refusal) -> None:
         if self._pending is not None:
-            if self._pending.id is not None:
-                self._answers.append(Answer(self._pending.id, self._pending.verb, refusal))
+            self._answer(self._pending.id, self._pending.verb, refusal)
             self._pending, self.awaiting = None, False

@@ -72,9 +72,8 @@ class FirstSecond:
 
     def __init__(self, settings: RigSettings) -> None:
         plant = settings.plant
-        softness = 1.0 / plant.stiffness_n_mm + (1.0 / plant.mechanism_n_mm if plant.mechanism_n_mm else 0.0)
-        self._stiffness = 1.0 / softness
-        self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n * softness)
+        self._stiffness = plant.slow_stiffness_n_mm
+        self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n / self._stiffness)
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = settings.loop.period_ns * 1e-9 / _UNDO_SMOOTH_S

@@ -28,8 +28,7 @@ class Sinking:
 
     def __init__(self, settings: RigSettings) -> None:
         plant = settings.plant
-        softness = 1.0 / plant.stiffness_n_mm + (1.0 / plant.mechanism_n_mm if plant.mechanism_n_mm else 0.0)
-        self._stiffness = 1.0 / softness
+        self._stiffness = plant.slow_stiffness_n_mm
         self._slack_n = settings.tension.slack_n
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=STEPS + 1)

@@ -12,8 +12,8 @@ from rigctl.control.modes import HeldBy, Mode, PowerOff
 from tests.builders.page_states import state
 
 
-def rows(told: dict[str, Any]) -> dict[str, str]:
-    return {label: value for label, value, _ in status.rows(told)}
+def rows(state: dict[str, Any]) -> dict[str, str]:
+    return {label: value for label, value, _ in status.rows(state)}
 
 
 @pytest.mark.parametrize(
