@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pathlib
 import pickle
@@ -32,6 +33,7 @@ class BranchPoint:
         pid = os.fork()
         if not pid:
             status = 1
+            gc.disable()  # it would walk through, and so copy, all that this process shares with the first
             try:
                 os.close(reading)
                 with os.fdopen(writing, "wb") as pipe:

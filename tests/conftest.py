@@ -6,6 +6,7 @@ after the other; all others share the machine.
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import pathlib
@@ -23,6 +24,7 @@ from tests.builders.smoke import pytest_terminal_summary
 __all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol", "pytest_terminal_summary"]
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in rigctl and hil; the workers of xdist inherit it
+gc.disable()  # until the tests are collected: nothing is garbage until then, and it takes longer than all the rest
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 REAL_TIME = ("guest", "live/system")
@@ -61,6 +63,12 @@ def pytest_sessionstart() -> None:
     for number, usual in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
         if signal.getsignal(number) is signal.SIG_IGN:
             signal.signal(number, usual)
+
+
+def pytest_collection_finish() -> None:
+    """Spare the collector the tests themselves from here on."""
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
