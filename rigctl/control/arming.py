@@ -34,6 +34,12 @@ REACTION_NS = 2_000_000_000
 """A stroke that still moves this long after the drive went off shows a slipping brake, and no stop under way."""
 
 
+def stopping_ns(settings: RigSettings) -> int:
+    """Time in ns in which a drive that obeys stops by itself from top speed, with two lags to spare."""
+    seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
+    return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
+
+
 class Standstill:
     """Time the stroke has stood still, from position and reported speed."""
 

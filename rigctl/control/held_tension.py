@@ -9,7 +9,7 @@ correction move the load. Whichever of the two is wrong, nothing may be moved by
 
 On the brake the stroke cannot rise, and a change of tension is the payload's, the rail's or the brake's. The tension is
 compared with the highest that has lasted: a fall that goes on is a load that sinks. A rise endangers nothing below
-`safety.tension_high_n`, and a rope that is slack has no load to lose.
+`safety.tension_high_n`. A rope that carried and is slack has lost its load, however fast.
 
 A bump of the payload and a hand on it change the tension too, in a step. So what goes on has the lower limit; what has
 ended has to be `SHARE` of the load as well.
@@ -104,7 +104,7 @@ class HeldTension:
     ``stretched_mm``: disagreement d while the motor holds, if it is `SHARE` of the load; ``growing_mm``: d while it
     grows. ``fallen_n``: from the highest tension that has lasted, on the brake, if it is `SHARE` of that; ``sinks_n``:
     the same fall while it goes on. All are 0 where they do not apply, and where the cell is silent, invalid or repeats
-    itself: it is unknown then, and the references stay.
+    itself: it is unknown then, and the references stay. ``lost``: the rope has carried a load and is slack.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -131,7 +131,7 @@ class HeldTension:
         """The stroke moves on purpose, or its motion is acknowledged, or the cell is corrected: latch anew."""
         self._clear()
         self._from_mm = self._from_n = self._smooth_n = self._highest_n = math.nan
-        self._on_brake = False
+        self._on_brake = self.lost = False
         self._seen_s = 0.0
 
     def watch(self, snapshot: Snapshot, ticks: int, *, latched: bool) -> None:
@@ -166,9 +166,15 @@ class HeldTension:
         share = -math.expm1(-passed_s / time_s) if time_s else 1.0
         self._smooth_n += (tension_n - self._smooth_n) * share
 
+    def _slack(self, latched_n: float) -> bool:
+        """The rope does not pull; it has lost its load where a tension was latched, until it pulls again."""
+        slack = self._smooth_n < self._slack_n
+        self.lost = slack and (self.lost or math.isfinite(latched_n))
+        return slack
+
     def _compare(self, stroke_mm: float, passed_s: float) -> None:
         """Stretch against stroke; a slack rope takes up stroke without tension, so it is latched once it is tight."""
-        if self._smooth_n < self._slack_n:
+        if self._slack(self._from_n):
             self._from_mm = self._from_n = math.nan
             return
         if not math.isfinite(self._from_mm):
@@ -194,9 +200,9 @@ class HeldTension:
         self._goes_on = False
 
     def _look_for_fall(self, passed_s: float) -> None:
-        """Compare with the highest tension that has lasted; the rope has to stay tight."""
+        """Compare with the highest tension that has lasted."""
         smooth_n = self._smooth_n
-        if smooth_n < self._slack_n:
+        if self._slack(self._highest_n):
             self._highest_n, self._settled_s = math.nan, 0.0
             self._begin_mark()
             return

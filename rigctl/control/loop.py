@@ -96,7 +96,7 @@ class Loop:
         users; None: there are none.
         """
         self.settings = settings
-        self.machine = Machine(_stopping_ns(settings))
+        self.machine = Machine(arming.stopping_ns(settings))
         self._commanded_ns = started_ns = clock.now()
         self.readback = Readback(watched, settings, started_ns)
         self.homed = Homed(settings.cylinder, last_stroke)
@@ -125,8 +125,8 @@ class Loop:
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
         self._watch = Watch(settings, limit_rows(settings))
-        self._escalator = Escalator(settings, _stopping_ns(settings))
-        self._parking, self._first_second = Parking(settings, _stopping_ns(settings)), FirstSecond(settings)
+        self._escalator = Escalator(settings, arming.stopping_ns(settings))
+        self._parking, self._first_second = Parking(settings, arming.stopping_ns(settings)), FirstSecond(settings)
         self._travel_from_mm = 0.0
         self._moved_on_brake = False  # a load at rest on the brake has moved since
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
@@ -523,12 +523,6 @@ class Loop:
             self._logbook.notice(t_ns, Kind.EXCEPTION, 0, 0, _place(error))
         except Exception:  # noqa: BLE001 - no event can be written; the latched fault is in every record
             self.exceptions_untold += 1
-
-
-def _stopping_ns(settings: RigSettings) -> int:
-    """Time in ns in which a drive that obeys stops by itself from top speed, with two lags to spare."""
-    seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
-    return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
 
 
 def _place(error: BaseException) -> bytes:

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import Standstill
+from rigctl.control.arming import Standstill, stopping_ns
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
@@ -113,6 +113,7 @@ class Observer:
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._stopping_ns = stopping_ns(settings)
         self._off_since_ns: int | None = None
         self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
         self._cut_ns = 0
@@ -211,7 +212,7 @@ class Observer:
         snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
         snapshot.taken_up_excess_n = self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
-        snapshot.rope_lost = law.rope_lost
+        snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
         snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
         enabled, commanded = snapshot.drive_enabled, self._outbox.controlword == _ENABLE
         # The stroke's latch watches motion under our own command.
@@ -236,10 +237,12 @@ class Observer:
         """The drive reports now that it is off, and has for its brake's time, with the stroke at rest or its power cut.
 
         Drives report an off state from the begin of their ramp on, which ends at standstill; a stroke that does not
-        come to rest needs disable voltage. A word that leads to power may have its effect late: the time begins anew.
+        come to rest needs disable voltage. An encoder may be stuck, so the ramp's own time is waited for as well. A
+        word that leads to power may have its effect late: the time begins anew.
         """
         snapshot = self.snapshot
-        off_ns = min(snapshot.off_ns, self._not_on_ns, max(snapshot.still_ns, self._cut_ns))
+        stopped_ns = min(snapshot.still_ns, snapshot.off_ns - self._stopping_ns)
+        off_ns = min(snapshot.off_ns, self._not_on_ns, max(stopped_ns, self._cut_ns))
         return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
 
     @property

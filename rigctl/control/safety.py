@@ -213,7 +213,8 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
         Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), negative_n, NEGATIVE_NS, _ARMED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, FieldValue("tension_n", -1.0), -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
-        Row(Fault.TENSION_LOW, FieldValue("rope_lost"), 0, persist, _TENSIONING, ""),
+        Row(Fault.TENSION_LOW, _lost_n, -settings.tension.slack_n, persist, _TENSIONING | _AT_REST, "N of a load",
+            sign=-1.0),
         Row(Fault.CELL_STUCK, FieldValue("cell_repeats"), stuck, 0, _ARMED, "samples"),
         Row(Fault.CELL_NOISY, FieldValue("cell_unrest_n"), unrest_n, UNREST_NS, _ARMED, "N"),
         Row(Fault.SENSOR_EMERGENCY, FieldValue("sensor_emergency"), 0, 0, _ARMED, ""),
@@ -392,6 +393,11 @@ def _slack_words(snapshot: Snapshot) -> str:
 
 def _powered_mm_s(snapshot: Snapshot) -> float:
     return abs(snapshot.speed_mm_s) if snapshot.drive_powered else 0.0
+
+
+def _lost_n(snapshot: Snapshot) -> float:
+    """Tension of a rope that carried a load and is slack, negative; as the row's limit is."""
+    return -snapshot.tension_n if snapshot.rope_lost else -math.inf
 
 
 def _moves_off_mm_s(snapshot: Snapshot) -> float:

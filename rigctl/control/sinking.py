@@ -6,6 +6,7 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.arming import stopping_ns
 from rigctl.control.snapshot import Snapshot
 
 STEP_NS = 100_000_000
@@ -30,7 +31,7 @@ class Sinking:
         plant = settings.plant
         self._stiffness = plant.slow_stiffness_n_mm
         self._slack_n = settings.tension.slack_n
-        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._closed_ns = stopping_ns(settings) + settings.cylinder.brake_delay_ms * 1_000_000
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=STEPS + 1)
         self._sum_mm = self._sum_n = 0.0
         self._count, self._next_ns = 0, 0
@@ -48,7 +49,7 @@ class Sinking:
         self.left_mm = max(0.0, snapshot.tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
         jumped = abs(snapshot.stroke_mm - self._last_mm) > JUMP_MM  # False for NaN
         self._last_mm = snapshot.stroke_mm
-        if jumped or snapshot.off_ns < self._brake_ns or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n):
+        if jumped or snapshot.off_ns < self._closed_ns or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n):
             if self._steps or self._count:
                 self._forget()
             return

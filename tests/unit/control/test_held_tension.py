@@ -188,6 +188,19 @@ def test_what_is_done_to_a_rig_at_rest_is_no_fault(what: str, seconds: float, te
     assert not Held(motor=False).run(seconds, tension).trips, what
 
 
+@pytest.mark.parametrize("motor", [True, False])
+def test_a_rope_that_carried_and_is_slack_has_lost_its_load_however_fast(motor: bool) -> None:
+    held = Held(motor=motor).run(10.0, lambda _t: 2.0)
+    assert not held.subject.lost, "it has not carried one"
+    assert not held.run(5.0, lambda _t: 300.0).subject.lost
+    assert held.run(0.01, lambda _t: 0.0).run(60.0, lambda _t: 0.0).subject.lost
+    held.subject.follow()
+    assert not held.run(5.0, lambda _t: 0.0).subject.lost, "acknowledged"
+    assert not held.run(5.0, lambda _t: 300.0).subject.lost
+    held.run(1.0, lambda _t: 0.0)
+    assert not held.run(0.2, lambda _t: 300.0).subject.lost, "the load is back"
+
+
 @pytest.mark.parametrize("spring", [1.0, 6.0, 35.2])
 def test_a_cell_of_class_c3_may_drift_and_creep_for_a_shift(spring: float) -> None:
     """As the paper rig's simulated cell does, at its largest load; ten minutes here pass as a day."""

@@ -110,7 +110,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
     (Fault.TENSION_HIGH, "N"): {"tension_n": 400.1},
     (Fault.TENSION_LOW, "N"): {"tension_n": 19.9},
-    (Fault.TENSION_LOW, ""): {"rope_lost": True},
+    (Fault.TENSION_LOW, "N of a load"): {"tension_n": 4.9, "rope_lost": True},
     (Fault.INNOVATION, "samples"): {"rejects": 20},
     (Fault.SIGN_DRIVE, ""): {"drive_reversed": True},
     (Fault.SIGN_CELL, ""): {"cell_reversed": True},

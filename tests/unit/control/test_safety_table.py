@@ -88,7 +88,6 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("CELL_INVALID", ""): ("cell_quality", 0, "HOLD", 0, ARMED),
     ("INCLINATION_INVALID", ""): ("inclination_quality", 0, "HOLD", 0, ARMED),
     ("TENSION_HIGH", "N"): ("tension_n", 400, "HOLD", 20, EVERY),
-    ("TENSION_LOW", ""): ("rope_lost", 0, "HOLD", 20, "TENSIONING"),
     ("CELL_STUCK", "samples"): ("cell_repeats", 19, "HOLD", 0, ARMED),
     ("CELL_NOISY", "N"): ("cell_unrest_n", 0.9, "HOLD", 5, ARMED),
     ("SENSOR_EMERGENCY", ""): ("sensor_emergency", 0, "HOLD", 0, ARMED),
@@ -143,6 +142,11 @@ def test_rows_that_watch_more_than_one_signal_or_a_lower_bound() -> None:
     low, negative = row_of("TENSION_LOW", "N"), row_of("CELL_NEGATIVE", "N")
     assert (low.limit, low.sign, low.persistence_ns, low.modes) == (-20.0, -1.0, 20 * MS, modes("COMPENSATING"))
     assert low.value(replace(GOOD, tension_n=19.0)) == -19.0
+    lost = row_of("TENSION_LOW", "N of a load")
+    assert (lost.limit, lost.sign, lost.persistence_ns, lost.action) == (-5.0, -1.0, 20 * MS, Action.HOLD)
+    assert lost.modes == modes("TENSIONING HOLD FAULT")
+    assert lost.value(replace(GOOD, tension_n=4.9)) < lost.limit, "a slack rope that has not carried a load"
+    assert lost.value(replace(GOOD, tension_n=4.9, rope_lost=True)) > lost.limit
     assert (negative.limit, negative.sign, negative.persistence_ns) == (15.0, -1.0, 10 * MS)  # slack 5, tare 10
     assert negative.modes == modes(ARMED)
     dropped = row_of("DRIVE_NOT_FOLLOWING", "")
