@@ -10,8 +10,10 @@ import numpy as np
 
 from hil.faults.expected import InjectedFault, Reaction
 from hil.faults.lockstep_run import Floats, Run, TripEvent
+from hil.lockstep import WORK_NS
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
+from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, PowerOff, Refusal
 from rigctl.ipc.record import Flag
@@ -29,6 +31,8 @@ DRIVE_STOPS_MS = 100.0
 MOVES_MM_S, LAST_S, DEAD_REST_MM = 0.1, 1.0, 0.02
 """A load moves: faster than the first over the last second of a row; it rests: less than the third in half a second."""
 DEATH = "the death of the loop stopped it"
+SEEN_MM = 2.0
+"""By stiffness: a load that sinks on its brake is seen by then."""
 WORSE_THAN_CUT = 1.1
 SHOWN_TICKS = 2
 """Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
@@ -114,6 +118,7 @@ def judge(
         findings.append("load not carried")
     findings += _late(fault, mode, expected, detection_ms, latency_ms)
     findings += _uncounted(fault, run, undisturbed)
+    findings += _unseen(run, undisturbed, expected, settings.plant.stiffness_n_mm)
     findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
     late_s = fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9
     findings += _shown_off(run, late_s, off_before=fault.around.parked)
@@ -164,17 +169,33 @@ def _stopped_by_death(run: Run, dead: Floats, undisturbed: Run, at: float | None
     return [f"the load moved at {speed_mm_s:.2f} mm/s until {DEATH}"] if speed_mm_s > MOVES_MM_S else []
 
 
+def _unseen(run: Run, undisturbed: Run, expected: Reaction, stiffness_n_mm: float) -> list[str]:
+    """Of a load that moves on, since nothing but an operator's command may stop it: how far until a fault says so."""
+    if expected is not Reaction.MOVES:
+        return []
+    shown_ns = run.events["t_ns"][np.isin(run.events["kind"], (Kind.TRIP, Kind.CAUSE))]
+    if not len(shown_ns):
+        return ["no fault shows that the load moves"]
+    shown_s = (int(shown_ns[0]) - int(run.records["t_ns"][0])) * 1e-9 + run.records_t_s[0]
+    until = run.t_s <= shown_s
+    off_n = run.tension_n[until] - undisturbed.tension_n[: len(run.t_s)][until]
+    moved_mm = float(np.max(np.abs(off_n), initial=0.0)) / stiffness_n_mm
+    return [f"the load moved {moved_mm:.2f} mm before a fault showed it"] if moved_mm > SEEN_MM else []
+
+
 def _shown_off(run: Run, late_s: float, *, off_before: bool) -> list[str]:
     """Records that show the drive without power while its motor has had current for longer than ``late_s``.
 
-    That is the age of the statusword shown: a record shows what was sent before it. ``off_before``: the motor had none
-    until the fault.
+    That is the age of the statusword shown: a record shows what was sent before it. The truth's sample of the same tick
+    is the next after it, and a power stage that goes off between the two is off in that tick. ``off_before``: the motor
+    had none until the fault.
     """
     shown = (run.records["flags"] & Flag.DRIVE_OFF != 0) | np.isin(run.records["power_off"], _CONFIRMED)
     off_s = np.append(run.t_s[~run.powered], -math.inf)
     off_s.sort()
     first_s = 0.0 if off_before else run.t_s[0] - late_s
-    since_s = np.maximum(off_s[np.searchsorted(off_s, run.records_t_s, side="right") - 1], first_s)
+    same_tick_s = run.records_t_s + WORK_NS * 1e-9 + ROUNDING_S
+    since_s = np.maximum(off_s[np.searchsorted(off_s, same_tick_s, side="right") - 1], first_s)
     wrong = shown & (run.records_t_s - since_s > late_s + ROUNDING_S)
     if not np.any(wrong):
         return []

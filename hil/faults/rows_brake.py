@@ -32,7 +32,7 @@ def _parking(id_: str, what: str, inject: Injector, expected: Expected = _TAKEN_
 
 
 def _later(id_: str, what: str, inject: Injector, lasts_s: float, *commands: tuple[float, Verb],
-           expected: Expected = _MOVES, band_n: float = 9.0, why: str = _WHY_LATER) -> InjectedFault:  # fmt: skip
+           expected: Expected = _MOVES, band_n: float = math.inf, why: str = _WHY_LATER) -> InjectedFault:  # fmt: skip
     given = ((_LATER_S + at_s, gives(verb)) for at_s, verb in commands)
     return InjectedFault(
         id_, what, in_turn((_LATER_S, inject), *given), expected, seconds=_LATER_S + lasts_s, band_n=band_n,
@@ -60,6 +60,6 @@ BRAKE: tuple[InjectedFault, ...] = (
            both(_ENCODER_STUCK, brake_slips(0.3)), 9.0, *_RESET_ARM, band_n=20.0,
            why="both are refused while the tension falls"),
     _later("brake_sticks_take_back", "the brake does not open any more; TENSION", in_device.brake_stays_closed(), 3.0,
-           (0.1, Verb.TENSION), expected={Mode.HOLD: Reaction.DRIVE_OFF},
+           (0.1, Verb.TENSION), expected={Mode.HOLD: Reaction.DRIVE_OFF}, band_n=9.0,
            why="the drive pulls at a load that does not move, and is taken off power"),
 )  # fmt: skip

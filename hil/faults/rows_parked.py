@@ -14,6 +14,9 @@ SUFFIX = "_parked"
 AT_ONCE = ("hold.park_s", 0.5)
 HELD_MM, HELD_N = 1.0, 9.0
 """What a load on the brake may move, whatever becomes of sensors, bus and a motor that is off."""
+_OWN_COMMANDS = frozenset({"reset_during_quick_stop"})
+_PULLED = frozenset({"payload_caught"})
+"""The payload is moved by something else: the brake holds the stroke, nothing can hold the tension."""
 _OFF_HIDES = frozenset({Reaction.DRIVE_OFF, Reaction.DRIVE_STOPS})
 """Reactions to a motor that does not obey: one without power may not show it, and the load must not move either way."""
 
@@ -25,12 +28,13 @@ def of(fault: InjectedFault) -> InjectedFault | None:
     own commands.
     """
     around = fault.around
-    if fault.from_start or around.phase or around.course is not None or fault.ends_elsewhere:
+    own = fault.id in _OWN_COMMANDS
+    if fault.from_start or around.phase or around.course is not None or fault.ends_elsewhere or own:
         return None
     expected = dict(_expected(fault))
     if not expected:
         return None
-    slips = Reaction.MOVES in expected.values() or not fault.carried
+    slips = Reaction.MOVES in expected.values() or not fault.carried or fault.id in _PULLED
     change = tuple(pair for pair in around.change if pair[0] != AT_ONCE[0])
     return replace(
         fault,
@@ -62,5 +66,6 @@ _ON_BRAKE: dict[str, Expected] = {
     "brake_stuck_open": {Mode.HOLD: Reaction.MOVES, Mode.FAULT: Reaction.MOVES},
     "cell_drift_fast": {Mode.HOLD: Reaction.RIDDEN},  # it rises: a load on the brake cannot
     "drive_reports_off": {Mode.HOLD: Reaction.RIDDEN},  # so it is
+    "unlimited_cell_jumps": {Mode.HOLD: Reaction.RIDDEN},  # the same, below safety.tension_high_n
 }
 """What differs on the brake: the first second is over, or a rig at rest does not show the fault."""
