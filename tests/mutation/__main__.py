@@ -44,11 +44,12 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="of the sample, only what has survived the last time")
     parser.add_argument("--no-live", action="store_true", help="leave out the real-time tests, so what only these meet")
     parser.add_argument("--size", type=int, default=sample.SIZE, metavar="N", help="the first N of the sample")
+    parser.add_argument("--package", choices=sample.PACKAGES, help="of the sample, only what lies in this package")
     given = parser.parse_args()
     chosen = set(given.parts or words)
     if not chosen <= set(words) or given.parallel < 1:
         parser.error(f"found {given.parts}, expected {', '.join(words)}")
-    if given.write and chosen != set(words):
+    if given.write and (chosen != set(words) or given.package):
         parser.error("--write needs all")
     with tempfile.TemporaryDirectory(prefix="rigctl-mutation-", dir="/dev/shm") as name:
         folder = pathlib.Path(name)
@@ -97,7 +98,11 @@ def _sample(folder: pathlib.Path, given: argparse.Namespace, known: list[Verdict
     sources = sample.sources_of(folder, set(TESTS))
     workshop = sample.workshop(folder, sources)
     judge = Judge(folder, workshop, reaches)
-    drawn = {place.number: (place, text) for place, text in sample.first(workshop, given.size)}
+    drawn = {
+        place.number: (place, text)
+        for place, text in sample.first(workshop, given.size)
+        if given.package is None or place.mutant.file.startswith(f"{given.package}/")
+    }
     verdicts = [verdict for verdict in known if verdict.killed and verdict.number in drawn]
     done = {verdict.number for verdict in verdicts}
     unmet = []
