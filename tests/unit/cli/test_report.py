@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pathlib
-import resource
 import subprocess
 import sys
 from typing import Any
@@ -14,6 +13,7 @@ import pytest
 
 from rigctl.control.modes import Mode
 from rigctl.recorder.audit_log import Item
+from tests.builders.full_disk import files_of_at_most
 from tests.builders.paths import ROOT
 from tests.builders.synthetic import OFFSET_NS, Floats, active, compensating, mode_events, run, stay, write
 from tests.conftest import Command
@@ -152,12 +152,8 @@ def test_it_never_writes_over_its_recording(tmp_path: pathlib.Path, in_process: 
 def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path: pathlib.Path, in_process: Command) -> None:
     file, page = write(tmp_path / "full.mcap", compensating(small, 4.0)), tmp_path / "page.html"
     page.write_text("the old one")
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (100, hard))  # as on a full disk, the file gets its first bytes only
-    try:
+    with files_of_at_most(100):
         done = in_process("rigctl", "report", file, "-o", page)
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert (done.returncode, done.stderr) == (2, f"rigctl: {page} cannot be written: File too large\n")
     assert page.read_text() == "the old one"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full.mcap", "page.html"]

@@ -6,9 +6,8 @@ import contextlib
 import hashlib
 import json
 import pathlib
-import resource
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given
@@ -18,6 +17,7 @@ from rigctl.config import rig_file as config
 from rigctl.recorder import audit_log, chain
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from tests.builders.durable import Disk
+from tests.builders.full_disk import files_of_at_most
 
 WALL_NS = 1_735_689_600_123_000_000
 
@@ -189,15 +189,9 @@ def test_run_refuses_another_rigs_log_before_it_starts_anything(
     assert config.load(file).audit_log == log
 
 
-@contextlib.contextmanager
-def full_disk(bytes_left: int, path: pathlib.Path) -> Iterator[None]:
-    """Limit files to this file's length and a little more: a write beyond it is cut short, then fails."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (path.stat().st_size + bytes_left, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+def full_disk(bytes_left: int, path: pathlib.Path) -> contextlib.AbstractContextManager[None]:
+    """Limit files to this file's length and a little more."""
+    return files_of_at_most(path.stat().st_size + bytes_left)
 
 
 @pytest.mark.parametrize("bytes_left", [0, 1, 100, 500])

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
-import resource
 import subprocess
-import sys
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +19,7 @@ from rigctl.recorder import export
 from rigctl.recorder.columns import Column, tables
 from rigctl.recorder.enums import enum_of
 from rigctl.recorder.recording import Recording, read
+from tests.builders.full_disk import rigctl_with_files_of_at_most
 from tests.builders.paths import ROOT
 from tests.builders.tape import OFFSET_NS, Tape
 from tests.conftest import Command
@@ -152,15 +151,10 @@ def test_an_export_that_fails_leaves_nothing(path: pathlib.Path, tmp_path: pathl
     folder = tmp_path / "place"
     folder.mkdir()
 
-    def small_files() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000))
-
+    words = ["export", str(path), "--to", kind, "-o", str(folder / "out")]
     answer = subprocess.run(
-        [sys.executable, "-c",
-         "import signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); from rigctl.cli.app import main; main()",
-         "export", str(path), "--to", kind, "-o", str(folder / "out")],
-        capture_output=True, text=True, cwd=ROOT, check=False, preexec_fn=small_files,
-    )  # fmt: skip
+        rigctl_with_files_of_at_most(30_000, words), capture_output=True, text=True, cwd=ROOT, check=False
+    )
     assert (answer.returncode, answer.stderr.count("\n")) == (2, 1), answer.stderr
     assert "cannot be written: File too large" in answer.stderr
     assert list(folder.iterdir()) == []
