@@ -34,7 +34,8 @@ def of(fault: InjectedFault) -> InjectedFault | None:
     expected = dict(_expected(fault))
     if not expected:
         return None
-    slips = Reaction.MOVES in expected.values() or not fault.carried or fault.id in _PULLED
+    slips = Reaction.MOVES in expected.values() or not fault.carried
+    pulled = fault.id in _PULLED
     change = tuple(pair for pair in around.change if pair[0] != AT_ONCE[0])
     return replace(
         fault,
@@ -42,7 +43,7 @@ def of(fault: InjectedFault) -> InjectedFault | None:
         expected=expected,
         after_s=0.0,
         against_cut=False,
-        band_n=fault.band_n if slips else min(fault.band_n, HELD_N) if not change else fault.band_n,
+        band_n=fault.band_n if slips or pulled else min(fault.band_n, HELD_N) if not change else fault.band_n,
         held_mm=fault.held_mm if slips else min(fault.held_mm, HELD_MM),
         within_ms=fault.within_ms,
         around=replace(around, change=(*change, AT_ONCE), parked=True),

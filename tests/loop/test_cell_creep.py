@@ -96,6 +96,23 @@ def test_a_creep_is_recorded_adopted_and_gone(weighed: Lockstep) -> None:
     assert rig.loop.machine.fault is Fault.NONE
 
 
+@pytest.mark.parametrize("recorded", [True, False])
+def test_a_weight_taken_off_slowly_is_a_load_that_sinks_unless_it_is_recorded(
+    weighed: Lockstep, recorded: bool
+) -> None:
+    rig = weighed
+    if recorded:
+        rig.give(Verb.CALIBRATE, WEIGHT_N, RECORD_S)
+        rig.run(4.5)
+    rig.rig.cell.hang(WEIGHT_N)
+    rig.run(2.0)
+    for tenth in range(60):
+        rig.rig.cell.hang(WEIGHT_N - 0.2 * tenth)
+        rig.run(0.1)
+    assert rig.loop.machine.mode is (Mode.DISARMED if recorded else Mode.FAULT)
+    assert rig.loop.machine.fault is (Fault.NONE if recorded else Fault.LOAD_SINKS)
+
+
 @pytest.mark.study
 def test_a_held_rope_is_recorded_but_says_nothing_of_the_cell_alone(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings).model_copy(update={"loop": settings.loop}), gains) as rig:
