@@ -59,7 +59,7 @@ def trip_value(rig: Lockstep) -> float:
     return float(trip["value"])
 
 
-@pytest.mark.gate("1", "4")
+@pytest.mark.gate("1", "3")
 @pytest.mark.parametrize("mode", ARMED)
 @pytest.mark.starts_in("mode")
 def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: Lockstep, mode: Mode) -> None:

@@ -259,7 +259,7 @@ def test_a_drive_that_misses_the_nmt_stop_too_stops_by_its_deadline(rig: Lockste
 
 
 # -- in every phase of arming --------------------------------------------------------------------------------------
-@pytest.mark.gate("opening-sync lost", "opening-commands frozen", "opening-samples frozen")
+@pytest.mark.gate("opening-sync lost")
 @pytest.mark.parametrize(
     ("phase", "fault"),
     [

@@ -72,7 +72,7 @@ def test_a_load_that_is_moved_does_not_rest(rig: Lockstep) -> None:
     assert shown(rig) is LoadAtRest.MOVES
 
 
-@pytest.mark.gate("0.06-True", "0.3-False")
+@pytest.mark.gate("0.3-False")
 @pytest.mark.parametrize("encoder_stuck", [False, True])
 @pytest.mark.parametrize("speed_mm_s", [0.06, 0.3])
 def test_a_brake_that_slips_is_no_rest_within_the_time_stated(

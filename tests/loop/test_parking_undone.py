@@ -71,6 +71,7 @@ def parks(rig: Lockstep, seconds: float = 3.0) -> float:
     return max(moved)
 
 
+@pytest.mark.gate("0.3 mm/s", "does not hold at all")
 @pytest.mark.parametrize("slip", [brake_slips(0.15), brake_slips(0.3), brake_slips(1.5), brake_open],
                          ids=["0.15 mm/s", "0.3 mm/s", "1.5 mm/s", "does not hold at all"])  # fmt: skip
 def test_a_brake_that_slips_at_once_gives_the_load_back_with_a_fault(held: Lockstep, slip: Injector) -> None:

@@ -59,6 +59,7 @@ def fitted(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
         yield rig
 
 
+@pytest.mark.gate("3")
 @pytest.mark.parametrize("rig", [Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING], indirect=["rig"])
 def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
     rig.events.read()

@@ -116,6 +116,7 @@ def tight(
         return Tensioned(rig.loop.machine.fault, off_n, off_mm, rig.loop.machine.mode, compensated, told)
 
 
+@pytest.mark.gate("swap_drive-fault0", "<lambda>-fault3")
 @pytest.mark.parametrize(
     ("spoil", "fault"),
     [
@@ -134,6 +135,7 @@ def test_on_a_tight_rope_too(
     assert not found.compensated
 
 
+@pytest.mark.gate("6.0-300.0")
 @pytest.mark.parametrize(("spring_n_mm", "target_n"), [(6.0, 300.0), (6.0, 50.0), (None, 300.0)])
 def test_a_rope_that_is_tight_and_on_target_is_felt_before_the_loop_closes_for_good(
     settings: RigSettings, spring_n_mm: float | None, target_n: float
@@ -174,6 +176,7 @@ def test_where_the_stroke_ends_it_is_felt_the_other_way(settings: RigSettings, g
     assert Kind.SIGNS in found.told
 
 
+@pytest.mark.gate("swap_drive_and_encoder-fault1")
 @pytest.mark.parametrize(
     ("spoil", "fault"),
     [

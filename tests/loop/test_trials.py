@@ -57,6 +57,7 @@ def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(rig: Lo
     assert rig.loop.inbox.reading_n == pytest.approx(OFFSET_N, abs=0.2)
 
 
+@pytest.mark.gate("2", "5")
 @pytest.mark.parametrize("mode", [Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING, Mode.FAULT])
 def test_elsewhere_neither_is_possible_and_no_zero_is_taken(rig: Lockstep, enter: Enter, mode: Mode) -> None:
     enter(Mode.HOLD if mode is Mode.FAULT else mode)
