@@ -137,8 +137,8 @@ The encoder alone does not keep a load. While the motor holds, the tension is la
 each other by the stiffness without a memory that leaks. Where they disagree nothing is moved: the brake takes the load
 (STRETCH_UNEXPLAINED). A cell that has stopped measuring denies nothing either, so the correction is bounded by its sum:
 beyond {CORRECTED_MM:g} mm the brake takes the load (POSITION_DRIFTS), be it the drive that creeps or the encoder that
-drifts. On the brake a tension that falls is a load that sinks (LOAD_SINKS), DISARMED too. `rigctl check` prints the
-limits for its rig.
+drifts. On the brake a tension that falls is a load that sinks (LOAD_SINKS), DISARMED too. A rope that carried and is
+slack has lost its load (TENSION_LOW), however fast, in HOLD and FAULT. `rigctl check` prints the limits for its rig.
 """
 _ESCALATION = """
 ## When a reaction does not help

@@ -9,6 +9,7 @@ import pytest
 
 from hil.faults import stand
 from hil.faults.in_device import SPEED, STROKE, both, brake_slips, creeps, reads, stuck
+from hil.faults.in_plant import payload_moves
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.cylinder_drive import ServiceTool
@@ -129,6 +130,17 @@ def test_a_fault_is_held_by_the_brake_whatever_the_encoder_shows(held: Lockstep,
     assert stays(held, 15.0)
     assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
     assert held.rig.drive.control.stage.braked
+
+
+def test_a_parked_load_that_is_lost_at_once_is_a_fault_until_it_is_reset(parked: Lockstep) -> None:
+    """300 N went to 0 in 2 s of a parked HOLD without a line."""
+    put_in(parked, payload_moves(80.0, 40.0))
+    parked.run(2.5)
+    assert (parked.loop.machine.mode, parked.loop.machine.fault) == (Mode.FAULT, Fault.TENSION_LOW)
+    assert parked.rig.drive.control.stage.braked
+    assert parked.command(Verb.RESET) is Refusal.NONE
+    parked.run(1.0)
+    assert (parked.loop.machine.mode, parked.loop.machine.fault) == (Mode.HOLD, Fault.NONE)
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
