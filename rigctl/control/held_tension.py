@@ -166,7 +166,7 @@ class HeldTension:
         share = -math.expm1(-passed_s / time_s) if time_s else 1.0
         self._smooth_n += (tension_n - self._smooth_n) * share
 
-    def _slack(self, latched_n: float) -> bool:
+    def _look_for_slack(self, latched_n: float) -> bool:
         """The rope does not pull; it has lost its load where a tension was latched, until it pulls again."""
         slack = self._smooth_n < self._slack_n
         self.lost = slack and (self.lost or math.isfinite(latched_n))
@@ -174,7 +174,7 @@ class HeldTension:
 
     def _compare(self, stroke_mm: float, passed_s: float) -> None:
         """Stretch against stroke; a slack rope takes up stroke without tension, so it is latched once it is tight."""
-        if self._slack(self._from_n):
+        if self._look_for_slack(self._from_n):
             self._from_mm = self._from_n = math.nan
             return
         if not math.isfinite(self._from_mm):
@@ -202,7 +202,7 @@ class HeldTension:
     def _look_for_fall(self, passed_s: float) -> None:
         """Compare with the highest tension that has lasted."""
         smooth_n = self._smooth_n
-        if self._slack(self._highest_n):
+        if self._look_for_slack(self._highest_n):
             self._highest_n, self._settled_s = math.nan, 0.0
             self._begin_mark()
             return

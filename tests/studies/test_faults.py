@@ -136,6 +136,7 @@ PLAYED = [
     ("drive_back_in_error", Mode.TENSIONING),
     ("torque_late", Mode.HOLD),
     ("torque_lost", Mode.FAULT),
+    ("drive_runs_blind", Mode.FAULT),
     ("torque_lost_free", Mode.COMPENSATING),
     ("cell_silent_parked", Mode.HOLD),
     ("drive_silent_parked", Mode.FAULT),

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.recorder import recording
 from tests.builders import daemons
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
@@ -29,7 +30,7 @@ def control_pid(rig: Running) -> int:
 
 
 def test_a_reset_of_the_silence_starts_all_devices_up_again(tmp_path: pathlib.Path) -> None:
-    with running(tmp_path, {}) as rig:
+    with running(tmp_path, {"recording": {"folder": "recordings"}}) as rig:
         rig.do("arm")
         rig.do("target", "100")
         rig.do("tension", "--wait")
@@ -47,3 +48,7 @@ def test_a_reset_of_the_silence_starts_all_devices_up_again(tmp_path: pathlib.Pa
             rig.do("reset")
         until(lambda: daemons.rigctl("arm", file=rig.file).returncode == 0, log=rig.log)
         rig.do("tension", "--wait")
+    found = recording.read(*recording.parts_of(next((tmp_path / "recordings").glob("*.mcap"))), frames=False)
+    assert len(found.control_starts) == 2, "the new loop is the recording's next span"
+    assert [gap for gap in found.gaps if gap.ring in ("records", "events")] == []
+    assert [said.what for said in found.events].count("started") == 2
