@@ -23,7 +23,6 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
 from rigctl.config.settings import RigSettings
 
@@ -145,6 +144,8 @@ def of_values(
     cell_hz: float | None = None,
 ) -> Member:
     """The plant of these values (N/mm, N s/mm, s, ticks, s), as `sampled`; the one place where it is made."""
+    from scipy.linalg import expm  # 0.1 s
+
     mass = payload_kg / KG_PER_N_S2_MM
     rates, tension = _rates(k, c, mass, k_m, lag_s, cell_hz, mechanism_damping)
     n = len(tension)
