@@ -37,7 +37,7 @@ from rigctl.ipc.folder_places import digest
 
 TAKING_PART = ("config", "control", "design", "ipc")
 """Folders of `rigctl` whose modules can change a result: `design` and what its layer may import (a test)."""
-LIBRARIES = ("numpy", "scipy")
+LIBRARIES = ("control", "filterpy", "numpy", "scipy")
 _MODE = 0o600
 _Result = TypeVar("_Result")
 
