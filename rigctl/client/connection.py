@@ -53,12 +53,13 @@ COMMAND_S = 6.0  # the gateway answers within 4 s
 # A trial is answered after its end: 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s).
 TRIAL_S = 30.0
 WEIGHT_S = 120.0  # until a weight is hung on the cell, whose creep is then recorded
-RESPONSE_S = 120.0  # a frequency response takes a minute, its evaluation some seconds
+GAINS_S = 65.0  # the gateway has them judged within 60 s
+RESPONSE_S = 160.0  # a frequency response takes 90 s at most, its evaluation 60 s
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
 _HOLD = "hold"
-_LONGER = ("arm", "tension", "release", "carry", "lower", "tare", "calibrate", "identify", "gains")
-_LIMITS_S = {**dict.fromkeys(_LONGER, TRIAL_S), "response": RESPONSE_S}
+_LONGER = ("arm", "tension", "release", "carry", "lower", "tare", "calibrate", "identify")
+_LIMITS_S = {**dict.fromkeys(_LONGER, TRIAL_S), "gains": GAINS_S, "response": RESPONSE_S}
 
 
 _Some = TypeVar("_Some")

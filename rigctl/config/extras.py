@@ -9,11 +9,11 @@ from collections.abc import Iterator
 EXTRAS = {
     "client": {"zenoh"},
     "rt": {
-        "cryptography", "yaml", "cantools", "scipy", "mcap", "google", "typer", "rich", "starlette", "uvicorn",
-        "websockets", "h11",
+        "cryptography", "yaml", "cantools", "scipy", "control", "filterpy", "matplotlib", "mcap", "google", "typer",
+        "rich", "starlette", "uvicorn", "websockets", "h11",
     },
-    "ops": {"matplotlib", "jinja2", "pyarrow"},
-    "sim": {"numba", "simple_pid", "control", "cvxpy", "clarabel"},
+    "ops": {"jinja2", "pyarrow"},
+    "sim": {"numba", "simple_pid", "cvxpy", "clarabel"},
     "bridge": {"prometheus_client"},
     "mdf": {"asammdf"},
     "test": {"pytest", "pandas"},

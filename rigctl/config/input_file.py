@@ -17,17 +17,23 @@ LARGEST_BYTES = 4 << 20
 """Ten times the longest file of a runtime folder."""
 
 
-def read(path: pathlib.Path, *, largest: int = LARGEST_BYTES, links: bool = False) -> bytes:
-    """Content of a regular file of at most ``largest`` bytes. ``links``: a link in its place is followed.
+def read(path: pathlib.Path, *, largest: int = LARGEST_BYTES, links: bool = False, alone: bool = False) -> bytes:
+    """Content of a regular file of at most ``largest`` bytes.
+
+    ``links``: a link in its place is followed. ``alone``: only a file of this user is read, and none that others may
+    write.
 
     Raises:
-        OSError: the file is missing, unreadable, larger, or no regular file.
+        OSError: the file is missing, unreadable, larger, no regular file, or with ``alone`` another user's.
     """
     flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (0 if links else os.O_NOFOLLOW)
     fd = os.open(path, flags)
     try:
-        if not stat.S_ISREG(os.fstat(fd).st_mode):
+        found = os.fstat(fd)
+        if not stat.S_ISREG(found.st_mode):
             raise OSError(errno.EINVAL, "not a regular file", str(path))
+        if alone and (found.st_uid != os.geteuid() or found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+            raise OSError(errno.EPERM, "not this user's alone", str(path))
         parts, size = [], 0
         while part := os.read(fd, 1 << 20):
             parts.append(part)

@@ -393,6 +393,12 @@ class RigSettings(Settings):
         return (self.ledger or self.kept(f"calibration/{self.rig}.json")).with_suffix(".stroke.json")
 
     @property
+    def kept_results(self) -> pathlib.Path:
+        """File in which the supervisor keeps results of the design; without it a start takes longer."""
+        name = f"{self.rig}.design.json"
+        return layout.CACHE / name if layout.is_installed(self.directory) else self.last_stroke.with_name(name)
+
+    @property
     def audit_log(self) -> pathlib.Path:
         """File in which the recorder keeps the audit log."""
         return self.kept(self.audit.file or f"audit/{self.rig}.jsonl")

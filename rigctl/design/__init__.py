@@ -1,1 +1,1 @@
-"""Plant family, gains and margins with python-control. Used by the supervisor, never by the control process."""
+"""Plants and gains with python-control and filterpy, and their margins. Never used by the control process."""

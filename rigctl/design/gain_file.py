@@ -59,7 +59,7 @@ _LATER = frozenset(
 )  # left out at their default, so that files without them still fit
 SAME_VALUE = 1e-9  # relative
 REPLACEABLE = frozenset(f"{section}.{key}" for section in ("plant", "estimator", "design") for key in INPUTS[section])
-_PACKAGES = {"python-control": "control", "numpy": "numpy", "scipy": "scipy"}
+_PACKAGES = {"python-control": "control", "filterpy": "filterpy", "numpy": "numpy", "scipy": "scipy"}
 _HEADING = """\
 # Gains of the tension law, written by `rigctl tune`. To use them: `gains_file` under `design` in the rig file.
 # They hold for the inputs below: when those change in the rig file, `rigctl run` refuses this file until `rigctl tune`

@@ -1,4 +1,4 @@
-"""Feedback gains and the filter's steady state, by discrete Riccati equations.
+"""Feedback gains by python-control, settled gains of the filter by filterpy.
 
 Deviation states of the law: tension error e, speed deviation s = v + w - r/k and the integral z of the error. With
 ``u = -w + r/k + u'`` the disturbance and the ramp drop out of the filter's own model:
@@ -7,8 +7,8 @@ Deviation states of the law: tension error e, speed deviation s = v + w - r/k an
 
 The error is weighted as stretch, e/k in mm, so that the loop's shape does not depend on the spring.
 
-The equations are SciPy's, as behind ``dlqr`` and ``dlqe`` of python-control, which the tests compare with: that library
-needs matplotlib, which the rig's computer does without.
+The filter settles at the covariance that solves its Riccati equation, which python-control solves; there filterpy makes
+the gain. Both libraries take two seconds to load, so only a function that designs loads them.
 """
 
 from __future__ import annotations
@@ -20,6 +20,8 @@ import numpy as np
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import Array, FilterModel, filter_model
 from rigctl.control.tension import Gains
+
+_METHOD = "scipy"  # of python-control: with slycot (GPL) installed, it would take that
 
 
 class DesignError(ValueError):
@@ -35,13 +37,18 @@ def design(settings: RigSettings) -> Gains:
     model, weights = filter_model(settings), settings.design
     k = settings.plant.stiffness_n_mm
     cost = np.diag([weights.stretch_weight / k**2, 0.0, weights.integral_weight / k**2])
-    a = np.block([[model.f[:2, :2], np.zeros((2, 1))], [np.array([[model.period_s, 0.0, 1.0]])]])
-    b = np.vstack([np.reshape(model.b[:2], (2, 1)), [[0.0]]])
-    price = np.array([[weights.command_weight]])
+    import control
+
     try:
-        x = _riccati(a, b, cost, price)
-        found = np.linalg.solve(b.T @ x @ b + price, b.T @ x @ a)
-    except (np.linalg.LinAlgError, ValueError) as error:
+        found, _, _ = control.dlqr(
+            model.f[:2, :2],
+            np.reshape(model.b[:2], (2, 1)),
+            cost,
+            np.array([[weights.command_weight]]),
+            integral_action=np.array([[model.period_s, 0.0]]),
+            method=_METHOD,
+        )
+    except (np.linalg.LinAlgError, ValueError, control.ControlArgument) as error:
         raise DesignError(f"no gains for these weights: {error}") from None
     k_tension, k_speed, k_integral = (float(gain) for gain in found[0])
     if not np.isfinite([k_tension, k_speed, k_integral]).all():
@@ -73,21 +80,18 @@ def filter_gain(model: FilterModel) -> Array:
     Raises:
         DesignError: the Riccati equation has no solution, or no finite one.
     """
-    h = np.eye(2, len(model.f))
-    r = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+    import control
+    from filterpy.kalman import KalmanFilter
+
+    kalman = KalmanFilter(dim_x=len(model.f), dim_z=2)
+    kalman.H = np.eye(2, len(model.f))
+    kalman.R = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
     try:
-        before = _riccati(model.f.T, h.T, model.q, r)
-    except (np.linalg.LinAlgError, ValueError) as error:
+        kalman.P, _, _ = control.dare(model.f.T, kalman.H.T, model.q, kalman.R, method=_METHOD)
+        kalman.update(np.zeros(2))
+    except (np.linalg.LinAlgError, ValueError, control.ControlArgument) as error:
         raise DesignError(f"no steady state of the filter for these noises: {error}") from None
-    gain: Array = np.asarray(np.linalg.solve(h @ before @ h.T + r, h @ before), np.float64).T
+    gain: Array = np.asarray(kalman.K, np.float64)
     if not np.isfinite(gain).all():
         raise DesignError("no steady state of the filter for these noises: not finite")
     return gain
-
-
-def _riccati(a: Array, b: Array, q: Array, r: Array) -> Array:
-    """Stabilising solution of the discrete algebraic Riccati equation."""
-    from scipy.linalg import solve_discrete_are  # takes 0.1 s, so only for a design
-
-    found: Array = solve_discrete_are(a, b, q, r)
-    return found

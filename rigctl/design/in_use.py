@@ -30,11 +30,10 @@ from rigctl.design.gain_file import (
     parse,
     text_of,
 )
-from rigctl.design.gains import design
 from rigctl.design.identified import Identified
-from rigctl.design.margins import design_and_check, judge
+from rigctl.design.kept_results import JudgedLoop, KeptResults
 from rigctl.design.plant_family import Family
-from rigctl.design.transitions import EntryLoop, TransitionError, dwell_time_s
+from rigctl.design.transitions import TransitionError
 from rigctl.design.verdict import Design, GainSource
 from rigctl.ipc import ledger
 
@@ -79,24 +78,29 @@ def adopted(settings: RigSettings, now: datetime | None = None) -> RigSettings:
     return _applied(kept.gains, settings)
 
 
-def design_in_use(settings: RigSettings, now: datetime | None = None) -> Design:
+def design_in_use(settings: RigSettings, now: datetime | None = None, results: KeptResults | None = None) -> Design:
     """The design of a rig, judged now: that of its gain file, or a new one without a file.
 
-    ``settings``: of the rig file, or as `adopted`.
+    ``settings``: of the rig file, or as `adopted`. ``results``: of the start before; None computes everything.
 
     Raises:
         DesignError: there are no gains for these settings, or the gain file does not fit them.
     """
-    kept = read_for(settings)
+    kept, results = read_for(settings), results or KeptResults()
     if kept is None:
-        return _noted(design_and_check(settings), settings)
+        return _noted(_new(settings, results), settings)
     name = str(settings.design.gains_file)
     if (why := _why_not_believed(kept.gains, settings, now)) is not None:
         note = f"the gains of {name} are not used, but new ones over the assumed family: {why}; identify and tune again"
-        return replace(design_and_check(settings), notes=(note,))
+        return replace(_new(settings, results), notes=(note,))
     of_file = changed(settings, {key: value.file for key, value in kept.gains.replaces.items()})
-    found = _judged(_applied(kept.gains, settings), kept, name, of_file, now)
+    found = _judged(_applied(kept.gains, settings), kept, name, results, of_file, now)
     return found if kept.gains.plant is not None else _noted(found, settings)
+
+
+def _new(settings: RigSettings, results: KeptResults) -> Design:
+    """Gains for the rig file alone, over the assumed family."""
+    return results.judged(JudgedLoop(settings, results.gains(settings), None))
 
 
 def _noted(found: Design, settings: RigSettings) -> Design:
@@ -140,7 +144,7 @@ def design_while_running(settings: RigSettings, text: str, name: str, now: datet
         if difference is None:
             if (why := _why_not_believed(spring, settings, now) or _why_barred(spring, settings)) is not None:
                 raise GainFileError(f"{name}: {why}: identify and tune again")
-            return _judged(made_for, Kept(spring, found.provenance, sealed), name)
+            return _judged(made_for, Kept(spring, found.provenance, sealed), name, KeptResults())
         if spring.replaces and spring.differs(made_for) is None:
             kept = [key for key in spring.replaces if not key.startswith("design.")]
             raise GainFileError(
@@ -192,36 +196,34 @@ def _applied(gains: SpringGains, settings: RigSettings) -> RigSettings:
 
 
 def _judged(
-    settings: RigSettings, kept: Kept, name: str, given: RigSettings | None = None, now: datetime | None = None
+    settings: RigSettings,
+    kept: Kept,
+    name: str,
+    results: KeptResults,
+    given: RigSettings | None = None,
+    now: datetime | None = None,
 ) -> Design:
     """``given``: settings of the rig file; with them a gain table is used."""
-    gains, plant = Gains(**kept.gains.gains.model_dump()), kept.gains.plant
-    own = design(settings)
-    edited = not all(math.isclose(asdict(gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
-    family = None if plant is None else identified.family(settings, plant)
+    loop = JudgedLoop(settings, Gains(**kept.gains.gains.model_dump()), kept.gains.plant)
+    own = results.gains(settings)
+    edited = not all(math.isclose(asdict(loop.gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
+    source = GainSource(name, kept.provenance.model_dump(), edited, kept.sealed)
     try:
-        found = judge(settings, gains, GainSource(name, kept.provenance.model_dump(), edited, kept.sealed), family)
-        return (
-            found if given is None or not kept.gains.points else _scheduled(found, settings, family, given, kept, now)
-        )
+        found = results.judged(loop).of_file(source)
+        return found if given is None or not kept.gains.points else _scheduled(found, loop, results, given, kept, now)
     except (ArithmeticError, ValueError) as error:  # numbers that no law has
         raise GainFileError(f"{settings.file(name)}: no margins for its gains: {error}") from None
 
 
 def _scheduled(
-    found: Design,
-    settings: RigSettings,
-    family: Family | None,
-    given: RigSettings,
-    kept: Kept,
-    now: datetime | None,
+    found: Design, first: JudgedLoop, results: KeptResults, given: RigSettings, kept: Kept, now: datetime | None
 ) -> Design:
-    """The design with its gain table: every entry judged now, and the changes between them proven now.
+    """The design with its gain table: every entry judged, and the changes between them proven.
 
     A table that is not borne out leaves the gains of the first entry, with a warning.
     """
-    entries, table = [], [TableEntry(_tension_n(kept.gains, settings), found.gains, {}, _stroke_mm(kept.gains))]
-    entries.append(EntryLoop(settings, found.gains, family or plant_family.assumed(settings)))
+    loops, settings = [first], first.settings
+    table = [TableEntry(_tension_n(kept.gains, settings), found.gains, {}, _stroke_mm(kept.gains))]
     every = inputs_in_full(settings)
     worst = found.ms_max
     for point in kept.gains.points:
@@ -230,10 +232,11 @@ def _scheduled(
         there, plant = _applied(point, given), point.plant
         if plant is None or point.differs(given) is not None:
             return _without_table(found, "an entry is for other settings")
-        gains, own = Gains(**point.gains.model_dump()), design(there)
+        gains, own = Gains(**point.gains.model_dump()), results.gains(there)
         if not all(math.isclose(a, b, rel_tol=SAME_GAIN) for a, b in zip(gains.in_order, own.in_order, strict=True)):
             return _without_table(found, "gains of an entry are not those its inputs give: edited by hand?")
-        judged = judge(there, gains, family=identified.family(there, plant))
+        loops.append(JudgedLoop(there, gains, plant))
+        judged = results.judged(loops[-1])
         if not judged.accepted:
             return _without_table(found, f"the entry at {plant.tension_n:.0f} N has {judged.ms_in_words()}")
         worst = max(worst, judged.ms_max)
@@ -244,9 +247,8 @@ def _scheduled(
             if value != every[section][key]
         }
         table.append(TableEntry(plant.tension_n, gains, believes, plant.stroke_mm))
-        entries.append(EntryLoop(there, gains, identified.family(there, plant)))
     try:
-        dwell_s = dwell_time_s(entries)
+        dwell_s = results.dwell_s(loops)
     except TransitionError as error:
         return _without_table(found, str(error))
     return replace(found, gains=ScheduledGains(*found.gains.in_order, tuple(table), dwell_s), ms_max=worst)

@@ -33,7 +33,7 @@ from rigctl.design.learning_margin import require_convergence
 from rigctl.design.performance import Performance, performance
 from rigctl.design.plant_family import Array, ComplexArray, Family, Member
 from rigctl.design.switching import circle_margin, common_lyapunov, largest_between, level_gains
-from rigctl.design.verdict import Design, GainSource, MemberMargins, SettingMargins
+from rigctl.design.verdict import Design, MemberMargins, SettingMargins
 
 MIN_HZ = 0.01
 POINTS_PER_DECADE = 150
@@ -50,9 +50,7 @@ def design_and_check(settings: RigSettings, family: Family | None = None) -> Des
     return judge(settings, design(settings), family=family)
 
 
-def judge(
-    settings: RigSettings, gains: Gains, source: GainSource | None = None, family: Family | None = None
-) -> Design:
+def judge(settings: RigSettings, gains: Gains, family: Family | None = None) -> Design:
     """Close the loop with these gains around every member of the family, against the limit in the settings.
 
     ``family``: None for the assumed one.
@@ -95,7 +93,7 @@ def judge(
     ms_max = max(member.ms_worst for member in margins)
     limit = settings.design.ms_max
     robust = ms_max <= limit and (QUIET not in laws or (switching is not None and switching > 0.0))
-    waiver = None if robust or (source is not None and source.edited) else settings.design.waiver
+    waiver = None if robust else settings.design.waiver
     return Design(
         gains,
         margins,
@@ -105,7 +103,6 @@ def judge(
         accepted=robust or (own and waiver is not None),
         waiver=waiver,
         performance=_performance(settings, laws) if own else None,
-        source=source,
         settings=_by_setting(settings, laws, {name: found[name][: len(members)] for name in laws}, level, own=own),
         switching=switching,
         family=family.name,

@@ -23,7 +23,6 @@ from itertools import product
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import expm
 
 from rigctl.config.settings import RigSettings
 
@@ -38,6 +37,7 @@ LOSS_SCALE = 2.0  # of spring and rope: one that is not measured is known by its
 LOSS_STEPS = 5
 MECHANISM_DAMPING = 0.02  # of critical, for the mechanism on its own stiffness
 KG_PER_N_S2_MM = 1000.0  # 1 N s^2/mm is 1000 kg
+HELD = "zoh"  # of python-control: inputs held over each period, exact
 WHOLE = 1e-6  # ticks: a delay this near to a whole number of them has no fraction
 ASSUMED = "assumed"
 
@@ -115,7 +115,7 @@ def sampled(
     cell_hz: float | None = None,
     mechanism_damping: float = MECHANISM_DAMPING,
 ) -> Member:
-    """The plant in the settings, scaled, with inputs held over each period (exact: matrix exponential).
+    """The plant in the settings, scaled, with inputs held over each period (exact; by python-control).
 
     ``delay_scale`` is a name here, ``delay_ticks`` counts. ``damping_n_s_mm``: of spring and rope; None: that of the
     settings, scaled as the stiffness is. ``cell_hz``: corner of the amplifier's low-pass; None: what it is late by is
@@ -145,15 +145,18 @@ def of_values(
     cell_hz: float | None = None,
 ) -> Member:
     """The plant of these values (N/mm, N s/mm, s, ticks, s), as `sampled`; the one place where it is made."""
+    import control  # 1.5 s
+
     mass = payload_kg / KG_PER_N_S2_MM
     rates, tension = _rates(k, c, mass, k_m, lag_s, cell_hz, mechanism_damping)
     n = len(tension)
-    held = expm(rates * dt)
-    state, by_command, by_disturbance = held[:n, :n], held[:n, n], held[:n, n + 1]
+    system = control.ss(rates[:n, :n], rates[:n, n:], tension, np.array([[0.0, c]]))
+    held = system.sample(dt, method=HELD)
+    state, (by_command, by_disturbance) = held.A, held.B.T
     whole = math.floor(delay_ticks + WHOLE)
     fraction = max(0.0, delay_ticks - whole)
     if fraction > WHOLE:
-        newer = expm(rates * (1.0 - fraction) * dt)[:n, n]
+        newer = system.sample((1.0 - fraction) * dt, method=HELD).B[:, 0]
         state = np.block([[state, (by_command - newer)[:, None]], [np.zeros((1, n + 1))]])
         by_command, by_disturbance = np.append(newer, 1.0), np.append(by_disturbance, 0.0)
         tension = np.append(tension, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from rigctl.control.gain_table import ScheduledGains, plain
@@ -88,6 +88,12 @@ class Design:
     switching: float | None = None  # `rigctl.design.switching`, the least over the family; None: nothing switches
     family: str = ASSUMED  # which plants ``margins`` are of, see `rigctl.design.plant_family.Family`
     notes: tuple[str, ...] = ()  # further warnings, one line each
+
+    def of_file(self, source: GainSource) -> Design:
+        """The design as that of a gain file: no waiver covers gains that were edited."""
+        if source.edited and self.waiver is not None:
+            return replace(self, source=source, waiver=None, accepted=False)
+        return replace(self, source=source)
 
     @property
     def worst_level(self) -> float:

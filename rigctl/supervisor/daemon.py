@@ -273,12 +273,15 @@ class Supervisor:
 
     def _design(self) -> None:
         from rigctl.design.gains import DesignError
-        from rigctl.design.in_use import design_in_use  # slow import (python-control), while the children start
+        from rigctl.design.in_use import design_in_use
+        from rigctl.design.kept_results import KeptResults
 
+        results = KeptResults(self.settings.kept_results)
         try:
-            design = design_in_use(self.settings)
+            design = design_in_use(self.settings, results=results)
         except (DesignError, ArithmeticError, ValueError) as error:  # the others: numbers that no plant has
             raise CannotRunError(f"{self.settings.rig}: no design: {error}") from None
+        results.keep()
         self._active["design"] = design.as_dict()
         if not design.accepted:
             raise CannotRunError(f"{self.settings.rig}: {design.verdict()}")

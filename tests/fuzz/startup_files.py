@@ -30,6 +30,8 @@ from rigctl.control import last_stroke
 from rigctl.control.homed import LastStroke
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
+from rigctl.design.in_use import design_in_use
+from rigctl.design.kept_results import KeptResults
 from rigctl.design.margins import design_and_check
 from rigctl.devices import eds_file
 from rigctl.devices.process_data import wanted
@@ -281,6 +283,14 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
     mine = LeaseFile(rig.rig, "tcp/127.0.0.1:7447", "anna")
     mine.write("0" * 32)
 
+    def design() -> None:
+        """A start: it computes what it cannot read."""
+        design_in_use(rig, results=KeptResults(rig.kept_results))
+
+    results = KeptResults(rig.kept_results)
+    design_in_use(rig, results=results)
+    results.keep()
+
     def recorder() -> None:
         """A recorder that starts: it reports what it cannot continue, and goes on."""
         found = Recorder(
@@ -296,6 +306,7 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
             lambda: ledger.standing(rig, ledger.read(rig), _NOW_NS),
             (ledger.LedgerError,),
         ),
+        File("results of the design", rig.kept_results, design),
         File("last stroke", rig.last_stroke, lambda: last_stroke.read(rig)),
         File("audit log", rig.audit_log, recorder, (audit_log.AuditError,)),
         File("audit log's torn line", torn, recorder, (audit_log.AuditError,)),

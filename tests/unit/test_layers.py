@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterator
 from functools import cache
 
+from rigctl.design.kept_results import TAKING_PART
 from tests.builders.paths import ROOT
 
 TABLE = "| folder | may import |\n|---|---|\n"
@@ -115,3 +116,7 @@ def test_every_module_can_be_imported() -> None:
     for file in modules():
         if file.name != "__main__.py":
             importlib.import_module(".".join(file.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"))
+
+
+def test_results_of_the_design_are_kept_by_every_module_that_its_layer_may_use() -> None:
+    assert {f"rigctl/{name}" for name in TAKING_PART} == allowed()["rigctl/design"] | {"rigctl/design"}

@@ -32,7 +32,8 @@ except SystemExit as ended:
     sys.stderr.write("\\n" + json.dumps([ended.code or 0, sorted(sys.modules)]))
 """
 SLOW = {"numpy", "zenoh", "pydantic", "pydantic_core", "scipy", "yaml", "rich", "asyncio", "cryptography", "can",
-        "canopen", "cantools", "mcap", "google", "matplotlib", "numba", "control", "starlette", "hil"}  # fmt: skip
+        "canopen", "cantools", "mcap", "google", "matplotlib", "numba", "control", "filterpy", "starlette",
+        "hil"}  # fmt: skip
 PARSERS = {"typer", "click", "argparse", "msgspec", "dataclasses", "inspect"}
 STATUS_NEEDS = {"numpy", "zenoh", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
 SHARED = {
@@ -124,9 +125,19 @@ def test_a_command_loads_no_other_command(row: VerbRow) -> None:
     code, shown, modules = loaded(row.name, "--help")
     assert code == 0
     assert shown.startswith(f"Usage: rigctl {row.name} ")
-    assert not top(modules) & {"zenoh", "scipy", "asyncio", "matplotlib", "numba", "control"}
+    assert not top(modules) & {"zenoh", "scipy", "asyncio", "matplotlib", "numba", "control", "filterpy"}
     places = {f"rigctl.cli.{other.place.partition(':')[0]}" for other in VERBS} - {"rigctl.cli.run"}
     assert modules & places <= {f"rigctl.cli.{row.place.partition(':')[0]}", *SHARED.get(row.name, ())}
+
+
+@pytest.mark.parametrize(
+    "process", ["control.control_process", "gateway.gateway_process", "recorder.recorder_process", "supervisor.daemon"]
+)
+def test_a_process_of_the_daemon_begins_without_the_designs_libraries(process: str) -> None:
+    """The control process never designs; the gateway has children that do, the supervisor what a start has kept."""
+    look = f"import json, sys, rigctl.{process}; print(json.dumps(sorted(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", look], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not top(set(json.loads(done.stdout))) & {"control", "filterpy", "matplotlib", "scipy", "PIL"}
 
 
 WHEN_NUMPY_LOADS = """

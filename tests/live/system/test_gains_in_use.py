@@ -49,6 +49,24 @@ def test_a_daemon_runs_on_its_gain_file_and_shows_where_the_gains_come_from(tmp_
     assert made["rig"] == daemons.name_of(file)
 
 
+def _designing(pid: int) -> bool:
+    """Whether a process has loaded libraries of the design."""
+    return any(name in pathlib.Path(f"/proc/{pid}/maps").read_text() for name in ("/scipy/", "/matplotlib/"))
+
+
+def test_a_second_start_reads_what_the_first_one_computed(tmp_path: pathlib.Path) -> None:
+    file = daemons.rig_file(tmp_path, PATIENT)
+    found = []
+    for name in ("first", "second"):
+        log = tmp_path / f"{name}.log"
+        with daemons.simulated_rig(file, tmp_path / f"{name}_rig.log"), daemons.daemon(file, log) as child:
+            until(lambda: daemons.state(file).get("design"), log=log)
+            found.append((_designing(child.pid), _active(file)["design"]))
+    assert load(file).kept_results.is_file()
+    assert [designing for designing, _ in found] == [True, False]
+    assert found[0][1] == found[1][1]
+
+
 def test_status_shows_the_words_of_a_waiver(tmp_path: pathlib.Path) -> None:
     file = daemons.rig_file(tmp_path, {**PATIENT, "design": {"ms_max": 1.3, "waiver": WAIVER}})
     log = tmp_path / "daemon.log"

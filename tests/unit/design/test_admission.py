@@ -6,6 +6,8 @@ import pathlib
 
 import pytest
 
+from rigctl.client import connection
+from rigctl.control import frequency_trial
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.ipc import calculation
 from rigctl.ipc.runtime_folder import Runtime
@@ -20,3 +22,8 @@ def test_a_gate_that_takes_too_long_refuses_in_words(tmp_path: pathlib.Path, mon
 def test_a_rig_without_settings_refuses_in_words(tmp_path: pathlib.Path) -> None:
     with pytest.raises(NotAdmittedError, match=r"active\.json holds no valid settings"):
         admit(Runtime(tmp_path), "", "a.gains.yaml")
+
+
+def test_a_client_waits_longer_than_the_gate_may_take() -> None:
+    assert connection.GAINS_S > calculation.LIMIT_S
+    assert frequency_trial.LONGEST_S + calculation.LIMIT_S < connection.RESPONSE_S

@@ -52,7 +52,7 @@ def test_what_is_written_is_read_to_the_last_digit(rig: Rig, kept: pathlib.Path)
     made = found.provenance
     assert (made.rig, made.rig_file) == ("paper_rig", "config/paper_rig.yaml")
     assert made.date_utc == "2026-11-21T12:00:00+00:00"
-    assert set(made.versions) == {"rigctl", "python-control", "numpy", "scipy", "python"}
+    assert set(made.versions) == {"rigctl", "python-control", "filterpy", "numpy", "scipy", "python"}
     assert made.inputs == inputs(rig())
     assert [file.name for file in kept.parent.iterdir()] == [kept.name]  # nothing half-written beside it
 

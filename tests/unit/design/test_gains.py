@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.design.gains import DesignError, design, filter_gain
+from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
+from rigctl.design.gains import OPEN, QUIET, DesignError, design, filter_gain, filter_gains
 from rigctl.design.margins import design_and_check
 
 Rig = Callable[..., RigSettings]
@@ -113,21 +115,45 @@ def test_any_valid_rig_gets_finite_gains_and_a_verdict_or_a_clear_error(
     assert all(member.stable == math.isfinite(member.ms) for member in found.margins)
 
 
-def test_gains_are_those_of_python_control(rig: Rig) -> None:
-    control = pytest.importorskip("control")
-    settings = rig()
+def _settled_filter(model: FilterModel) -> Array:
+    """The gain at which filterpy's filter ends, begun without any knowledge; no Riccati equation is solved."""
+    kalman = KalmanFilter(dim_x=len(model.f), dim_z=2)
+    kalman.F, kalman.Q, kalman.H = model.f, model.q, np.eye(2, len(model.f))
+    kalman.R = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+    kalman.P *= 1e3
+    for _ in range(2000):
+        kalman.predict()
+        kalman.update(np.zeros(2))
+    return np.asarray(kalman.K)
+
+
+def _optimal_gain(settings: RigSettings) -> Array:
+    """Feedback of least cost over more and more ticks, from the last one backwards: dynamic programming in NumPy."""
     model, weights, k = filter_model(settings), settings.design, settings.plant.stiffness_n_mm
-    found, _, _ = control.dlqr(
-        model.f[:2, :2],
-        model.b[:2],
-        np.diag([weights.stretch_weight / k**2, 0.0, weights.integral_weight / k**2]),
-        [[weights.command_weight]],
-        integral_action=np.array([[model.period_s, 0.0]]),
-        method="scipy",
-    )
-    gains = design(settings)
-    # The same solver on the same matrices: rounding alone.
-    assert [gains.k_tension, gains.k_speed, gains.k_integral] == pytest.approx(found[0], rel=1e-9)
-    h, r = np.eye(2, 3), np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
-    _, before, _ = control.dlqe(model.f, np.eye(3), h, model.q, r, method="scipy")
-    assert filter_gain(model) == pytest.approx(np.linalg.solve(h @ before @ h.T + r, h @ before).T, rel=1e-9)
+    a, b = np.eye(3), np.array([[*model.b[:2].ravel(), 0.0]]).T
+    a[:2, :2], a[2, 0] = model.f[:2, :2], model.period_s
+    q = np.diag([weights.stretch_weight / k**2, 0.0, weights.integral_weight / k**2])
+    cost, gain = np.zeros((3, 3)), np.zeros((1, 3))
+    for _ in range(20_000):
+        gain = b.T @ cost @ a / (weights.command_weight + b.T @ cost @ b)
+        cost = q + a.T @ cost @ (a - b @ gain)
+        cost = 0.5 * (cost + cost.T)
+    return np.asarray(gain[0])
+
+
+@pytest.mark.parametrize("spring_n_mm", [6.0, 34.0])
+def test_the_filters_gain_is_where_the_filter_settles(rig: Rig, spring_n_mm: float) -> None:
+    quiet = {"quiet_tension_walk_n": 0.005, "quiet_disturbance_walk_mm_s": 4.0}
+    model = filter_model(rig(plant={"spring_n_mm": spring_n_mm}, estimator=quiet))
+    found = filter_gains(model)
+    assert model.quiet_q is not None
+    opened, rested = _settled_filter(model), _settled_filter(replace(model, q=model.quiet_q))
+    assert found[OPEN] == pytest.approx(opened, rel=1e-9)
+    assert found[QUIET][:, 0] == pytest.approx(rested[:, 0], rel=1e-9)
+    assert not np.allclose(found[QUIET][:, 0], opened[:, 0], rtol=0.01)
+
+
+@pytest.mark.parametrize("weights", [{}, {"stretch_weight": 400.0, "integral_weight": 4000.0, "command_weight": 0.5}])
+def test_the_laws_gains_are_those_of_least_cost(rig: Rig, weights: dict[str, float]) -> None:
+    settings = rig(design=weights)
+    assert np.array(design(settings).in_order) == pytest.approx(_optimal_gain(settings), rel=1e-9)

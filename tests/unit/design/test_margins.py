@@ -16,13 +16,15 @@ from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Gains
-from rigctl.design import plant_family
-from rigctl.design.closed_loop import closed_loop, controller
+from rigctl.design import identified, plant_family
+from rigctl.design.closed_loop import Controller, closed_loop, controller
 from rigctl.design.gains import design, filter_gain, filter_gains
+from rigctl.design.identified import Identified, Uncertain
 from rigctl.design.margins import (
     classical_margins,
     design_and_check,
     frequency_grid,
+    judge,
     margins_over,
     predicted_band,
     responses,
@@ -76,25 +78,80 @@ def test_gain_margin_at_nyquist_counts() -> None:
     assert gm_db == pytest.approx(20 * math.log10(4), abs=1e-9)
 
 
-@pytest.mark.parametrize(("k_m", "delay_scale"), [(None, 1), (60.0, 2), (6.0, 1)])
-def test_both_places_agree_with_python_control(rig: Rig, k_m: float | None, delay_scale: int) -> None:
+FOUND = Identified(
+    when="2026-10-30T12:00:00+00:00", entries=(), tension_n=300.0, believed_n_mm=5.96,
+    stiffness_n_mm=Uncertain(6.0, 0.01), lag_s=Uncertain(0.02, 1e-4), delay_s=Uncertain(0.0023, 1e-4),
+    mechanism_n_mm=Uncertain(60.0, 1.0), damping_n_s_mm=Uncertain(0.05, 0.001),
+)  # fmt: skip
+BETWEEN = {
+    "assumed": {"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3},
+    "identified": {"quiet_disturbance_walk_mm_s": 30.0, "quiet_tension_walk_n": 0.5},
+}
+"""Filters with two settings, of which the worst level is between the two with that family."""
+
+
+def _sensitivities(law: Controller, plant: Member, period_s: float) -> tuple[Any, Any]:
+    """S at the plant's input and at the tension, closed by python-control from the state spaces."""
+    out = control.ss(law.a, law.b, law.c[None, :], np.zeros((1, 2)), period_s)
+    late = control.ss(control.tf([1], [1, *[0] * plant.delay_ticks], period_s))
+    system = control.ss(plant.a, plant.b_command[:, None], np.eye(2, len(plant.a)), np.zeros((2, 1)), period_s)
+    delayed, one = control.series(late, system), control.ss([], [], [], [[1.0]], period_s)
+    speed_closed = control.feedback(one, delayed[1, 0] * out[0, 1], sign=1)
+    return (
+        control.feedback(one, control.series(delayed, out), sign=1),
+        control.feedback(one, delayed[0, 0] * speed_closed * out[0, 0], sign=1),
+    )
+
+
+def _families(settings: RigSettings) -> dict[str, Family]:
+    return {"assumed": plant_family.assumed(settings), "identified": identified.family(settings, FOUND)}
+
+
+@pytest.mark.parametrize("name", ["assumed", "identified"])
+def test_responses_are_those_of_python_control(rig: Rig, name: str) -> None:
+    """Of every plant, at both places and for the disturbance.
+
+    Gate and search have arrays, because python-control takes 25 times as long for a family.
+    """
     settings = rig()
-    model = filter_model(settings)
-    dt = model.period_s
-    law = controller(model, design(settings), filter_gain(model))
-    plant = plant_family.member(settings, k_m, 1.2, delay_scale)
-    grid = frequency_grid([plant], dt)
-    (found,) = margins_over([plant], law, grid, dt)
-    omega = 2 * np.pi * grid[:-1]  # python-control refuses Nyquist itself for a response with a delay chain
-    out = control.ss(law.a, law.b, law.c[None, :], np.zeros((1, 2)), dt)
-    late = control.tf([1], [1, *[0] * plant.delay_ticks], dt)
-    system = control.ss(plant.a, plant.b_command[:, None], np.eye(2, len(plant.a)), np.zeros((2, 1)), dt)
-    delayed = control.series(control.ss(late), system)
-    at_input = control.frd(-control.series(delayed, out), omega)
-    assert 1 / control.stability_margins(at_input)[2] == pytest.approx(found.ms, rel=1e-3)
-    speed_closed = control.feedback(control.ss([], [], [], [[1.0]], dt), delayed[1, 0] * out[0, 1], sign=1)
-    at_output = control.frd(-delayed[0, 0] * speed_closed * out[0, 0], omega)
-    assert 1 / control.stability_margins(at_output)[2] == pytest.approx(found.ms_output, rel=1e-3)
+    model, family = filter_model(settings), _families(settings)[name]
+    law, members = controller(model, design(settings), filter_gain(model)), [*family.members, *family.reported]
+    grid = frequency_grid(members, model.period_s)[::40]
+    z = np.exp(2j * np.pi * grid * model.period_s)
+    assert len(members) > 30
+    for plant, found in zip(members, responses(members, law, grid, model.period_s), strict=True):
+        at_input, at_output = _sensitivities(law, plant, model.period_s)
+        np.testing.assert_allclose(found.s_input, at_input(z), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(found.s_output, at_output(z), rtol=1e-9, atol=1e-9)
+        feed = [[plant.loss_n_s_mm]]
+        disturbed = control.ss(plant.a, plant.b_disturbance[:, None], plant.tension[None, :], feed, model.period_s)
+        np.testing.assert_allclose(found.disturbance, disturbed(z), rtol=1e-9)
+
+
+@pytest.mark.parametrize("settings_of_filter", [1, 2])
+@pytest.mark.parametrize("name", ["assumed", "identified"])
+def test_ms_of_the_gate_is_the_peak_that_python_control_finds(rig: Rig, name: str, settings_of_filter: int) -> None:
+    """Of the worst plant, at the filter's worst level."""
+    settings = rig(estimator=BETWEEN[name] if settings_of_filter == 2 else {})
+    model, gains, family = filter_model(settings), design(settings), _families(settings)[name]
+    found, of_setting = judge(settings, gains, family), filter_gains(model)
+    assert (0.1 < found.worst_level < 0.9) == (settings_of_filter == 2)
+    opened = of_setting["open"]
+    quiet = of_setting.get("quiet", opened)
+    grid = frequency_grid([*family.members, *family.reported], model.period_s)
+    z = np.exp(2j * np.pi * grid * model.period_s)
+    worst = max(range(len(family.members)), key=lambda at: found.margins[at].ms_worst)
+
+    def peaks_at(level: float) -> list[float]:
+        law = controller(model, gains, quiet + level * (opened - quiet))
+        return [float(np.abs(one(z)).max()) for one in _sensitivities(law, family.members[worst], model.period_s)]
+
+    peaks = peaks_at(found.worst_level)
+    assert found.ms_max == pytest.approx(max(peaks), rel=1e-9)
+    if settings_of_filter == 1:
+        assert [found.margins[worst].ms, found.margins[worst].ms_output] == pytest.approx(peaks, rel=1e-9)
+    else:
+        assert max(*peaks_at(found.worst_level - 0.02), *peaks_at(found.worst_level + 0.02)) < found.ms_max
 
 
 def _at_input(settings: RigSettings, gains: Gains, plant: Member) -> Any:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.estimator import filter_model
 from rigctl.design.gains import design
 from rigctl.design.margins import judge
-from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Family, family, member, sampled
+from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Array, Family, family, member, of_values, sampled
 
 Rig = Callable[..., RigSettings]
 
@@ -107,3 +109,43 @@ def test_a_loss_and_the_low_pass_of_the_cell_are_in_the_response(
     assert np.allclose(tension, stretch / s * late * seen, rtol=1e-2)
     held = np.exp(-s * dt / 2) * np.sinc(hz * dt)
     assert np.allclose(disturbance[:-1], (stretch / s * held)[:-1], rtol=2e-2)  # its own loss acts at once, not held
+
+
+@pytest.mark.parametrize("delay_ticks", [2.0, 2.3])
+@pytest.mark.parametrize("cell_hz", [None, 500.0])
+@pytest.mark.parametrize("k_m", [None, 20.0])
+def test_a_member_is_the_integral_of_its_equations(
+    k_m: float | None, cell_hz: float | None, delay_ticks: float
+) -> None:
+    """Held random inputs, integrated tick by tick from the equations of the module's docstring."""
+    k, c, lag, dt, mass, ratio = 6.0, 0.05, 0.02, 1e-3, 0.030, 0.02
+    plant = of_values(
+        k, c, lag, delay_ticks, dt, k_m=k_m, payload_kg=1e3 * mass, mechanism_damping=ratio, cell_hz=cell_hz
+    )
+    ticks, whole, part = 40, math.floor(delay_ticks), delay_ticks % 1.0
+    chance = np.random.default_rng(7)
+    sent, disturbed = np.zeros(ticks + 3), chance.standard_normal(ticks)
+    sent[3:] = chance.standard_normal(ticks)  # sent[3 + n] is the command of tick n
+
+    def tension_n(state: Array, w: float) -> float:
+        x, v, _, moving, _ = state
+        return float(k * x + c * (v + w - moving))
+
+    def rates(_t: float, state: Array, u: float, w: float) -> list[float]:
+        _, v, p, moving, y = state
+        pull = tension_n(state, w)
+        own = 0.0 if k_m is None else (pull - 2.0 * ratio * math.sqrt(k_m * mass) * moving - k_m * p) / mass
+        seen = 0.0 if cell_hz is None else 2.0 * math.pi * cell_hz * (pull - y)
+        return [v + w - moving, (u - v) / lag, moving, own, seen]
+
+    state, model = np.zeros(5), np.zeros(len(plant.a))
+    for n, w in enumerate(disturbed.tolist()):
+        measured = state[4] if cell_hz is not None else tension_n(state, w)
+        assert model[0] + plant.sensed_n_s_mm * w == pytest.approx(measured, rel=1e-9, abs=1e-10)
+        assert model[1] == pytest.approx(state[1], rel=1e-9, abs=1e-10)
+        assert plant.tension @ model + plant.loss_n_s_mm * w == pytest.approx(tension_n(state, w), rel=1e-9, abs=1e-10)
+        model = plant.a @ model + plant.b_command * sent[3 + n - plant.delay_ticks] + plant.b_disturbance * w
+        for acting, seconds in ((sent[2 + n - whole], part * dt), (sent[3 + n - whole], (1.0 - part) * dt)):
+            if seconds > 0.0:
+                solved = solve_ivp(rates, (0.0, seconds), state, "DOP853", args=(acting, w), rtol=1e-12, atol=1e-14)
+                state = solved.y[:, -1]

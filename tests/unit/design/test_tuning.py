@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import subprocess
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
@@ -300,6 +301,36 @@ def test_a_table_that_is_not_borne_out_leaves_its_first_entry_with_a_warning(
     (warning,) = found.warnings()
     assert warning.startswith("the gain table is not used, only its first entry: ")
     assert "found stiffness_n_mm 6 +- 0.01" in warning
+
+
+def test_a_sensitivity_that_differs_bars_other_gains_and_warns_at_a_start(
+    tmp_path: pathlib.Path, in_process: Command
+) -> None:
+    """Of gains that no identification backs; those of an identified plant are then not believed."""
+    file = rig_with(tmp_path)
+    settings, gains = load(file), file.with_name("gains.yaml")
+    assert in_process("rigctl", "tune", file, "--gains", gains).returncode == 0
+    text = gains.read_text()
+
+    def window(hours: float, worst: dict[str, float] | None) -> None:
+        t_ns = NOON_NS + round(hours * 3600e9)
+        figures = {"difference": worst}
+        ledger.append(
+            settings, ledger.entry(settings, "margins", "gateway", t_ns, before={}, after={}, figures=figures)
+        )
+
+    assert design_while_running(settings, text, "gains.yaml", NOW).accepted
+    window(-2.0, {"hz": 60.0, "measured": 1.9, "error": 0.02, "low": 1.1, "high": 1.5})
+    said = r"measured \|S\| 1\.90 \+- 0\.02 at 60 Hz, the design had 1\.10 to 1\.50"
+    with pytest.raises(GainFileError, match=f"{said}: identify and tune again"):
+        design_while_running(settings, text, "gains.yaml", NOW)
+    found = design_in_use(settings, NOW)
+    assert found.accepted
+    (warning,) = found.warnings()
+    assert re.search(f"{said}; identify and tune again", warning)
+    window(-1.0, None)
+    assert design_while_running(settings, text, "gains.yaml", NOW).accepted
+    assert design_in_use(settings, NOW).warnings() == []
 
 
 def test_a_table_needs_a_ledger(in_process: Command) -> None:
