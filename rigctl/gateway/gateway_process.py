@@ -30,6 +30,7 @@ from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
 from rigctl.gateway.admission import Admission
 from rigctl.gateway.answers import refuse
 from rigctl.gateway.calibration_service import CalibrationService
+from rigctl.gateway.command_queries import take_queries
 from rigctl.gateway.command_server import CommandServer
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
@@ -270,7 +271,6 @@ class Gateway:
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
-            keys,
             runtime.commands.writer(),
             runtime.replies.reader(),
             lambda: newest_record(newest, view.standing),
@@ -285,7 +285,8 @@ class Gateway:
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
-        self._commands.open(self._command_session)
+        self._commands.open()
+        take_queries(self._command_session, keys, self._commands)
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
