@@ -32,6 +32,7 @@ from rigctl.gateway.answers import refuse
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_queries import take_queries
 from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.command_socket import CommandSocket
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
 from rigctl.gateway.published_position import Cursor
@@ -49,7 +50,7 @@ from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc import heap, standard_output
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.notes import RequestLog
+from rigctl.ipc.notes import Note, RequestLog
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
@@ -285,7 +286,9 @@ class Gateway:
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
+        self._socket = CommandSocket(runtime, self._commands.take, lambda: view.newest)
         self._commands.open()
+        self._socket.open()
         take_queries(self._command_session, keys, self._commands)
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream)
         # On the session of the commands, after them: a client that sees the token finds every command.
@@ -315,12 +318,16 @@ class Gateway:
         self._view.newest = state  # before the events, see above
         self._events.publish()
         self._state.put(state)
+        self._socket.publish(state)
 
     def _note_refused_access(self, now_ns: int) -> None:
         if self._log is not None:
             for line in self._log.lines():
                 self._refused.take(line, now_ns)
         self._places.keep(self._refused, now_ns)
+        while self._socket.closed:
+            who, why = self._socket.closed.popleft()
+            self._refused.add(Note.CONNECTION_CLOSED, f"{why} of {who}", ("", who, why), now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
 
     def _publish_active(self) -> None:
@@ -358,6 +365,7 @@ class Gateway:
         self._preflight.close()
         self._commands.close()
         self.publish()
+        self._socket.close()
         close(self._command_session)
         close(self._session)
         self._cursor.close()
