@@ -5,6 +5,7 @@ Zenoh runs in client mode: once connected it reconnects by itself after a restar
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import os
 import pathlib
@@ -19,6 +20,7 @@ import zenoh
 
 from rigctl.client import shapes
 from rigctl.client.block_order import DEPTH_BLOCKS, BlockSource
+from rigctl.client.command_connection import CommandConnections
 from rigctl.client.decoding import SampleLayout, SchemaError, layout_of, usable_schema
 from rigctl.client.endpoint import chosen_endpoint
 from rigctl.client.event_order import Events, EventSource
@@ -44,6 +46,7 @@ from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS, LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
+from rigctl.wire.socket_message import COMMAND, STATE
 
 _AGAIN_S = 0.05
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
@@ -209,13 +212,15 @@ class Client:
             self.route.leave()
             raise
         self._leave = self.route.followed()
+        self._local: CommandConnections | None = None
         try:
             self.keys = Keys(self._choose(wanted), self.person)
+            if (place := self.route.command_socket(self.rig)) is not None:
+                self._local = CommandConnections(place)
             self._run_id = run_id
             self._check_run()
         except (NoDaemonError, ChoiceError):
-            close(self.session)
-            self._leave()
+            self.close()
             raise
 
     def _check_run(self) -> None:
@@ -267,6 +272,8 @@ class Client:
             NoDaemonError: no answer.
             SchemaError: ``check`` expects a schema, and no answer has one that this client knows.
         """
+        if (here := self._ask_here(selector, payload, timeout_s, check)) is not None:
+            return here
         unknown: SchemaError | None = None
         key = selector.partition("?")[0]
         # The answer gets the query's options: it never blocks the gateway, and has its own priority beside the data.
@@ -299,6 +306,28 @@ class Client:
                 continue
             return reply.ok is not None, found
         raise unknown or self._nobody()
+
+    def _ask_here(self, key: str, payload: bytes | None, timeout_s: float, check: Check) -> tuple[bool, bytes] | None:
+        """As `ask`, by the command socket of this computer; None: it is not there, or takes no such question.
+
+        Raises:
+            NoDaemonError: no answer.
+        """
+        tail = key.removeprefix(f"{keys.ROOT}/{self.rig}/")
+        is_command = payload is not None and tail.startswith(COMMAND) and "/" not in tail.removeprefix(COMMAND)
+        if self._local is None or not (tail == STATE or is_command):
+            return None
+        try:
+            good, found = self._local.ask(tail, payload, timeout_s)
+            check(found) if good else shapes.refusal(found)
+        except FileNotFoundError:  # a daemon of the version before
+            return None
+        except MessageRefusedError as error:
+            self.refusals.add(key, error)
+            raise self._nobody() from None
+        except OSError:
+            raise self._nobody() from None
+        return good, found
 
     def _asked(self, selector: str, decode: Callable[[bytes], _Some]) -> _Some:
         """What a reading query brings; repeated while it ends at once because a gateway starts anew."""
@@ -393,7 +422,11 @@ class Client:
     # -- streams --------------------------------------------------------------------------------------------
     def follow(self, key: str, depth: int = 64) -> Stream[Message]:
         """JSON messages published on ``key`` from now on; when more than ``depth`` wait, the oldest are dropped."""
-        mailbox = self._mailbox(key, depth, LONGEST_DOCUMENT)
+        if self._local is not None and key == self.keys.state:
+            mailbox = self._kept(Mailbox(None, key, depth, self.refusals, LONGEST_DOCUMENT))
+            self._local.follow_state(mailbox, self._subscribe)
+        else:
+            mailbox = self._mailbox(key, depth, LONGEST_DOCUMENT)
         return Stream(self._query, MessageSource(mailbox, shape_of(self.keys, key)))
 
     def events(self, *, past: bool = False) -> Events:
@@ -423,7 +456,14 @@ class Client:
         )
 
     def _mailbox(self, key: str, depth: int, longest: int) -> Mailbox:
-        mailbox = Mailbox(self.session, key, depth, self.refusals, longest)
+        return self._kept(Mailbox(self.session, key, depth, self.refusals, longest))
+
+    def _subscribe(self, mailbox: Mailbox) -> None:
+        """Have Zenoh fill a mailbox; from any thread."""
+        with contextlib.suppress(zenoh.ZError):  # the session has just been closed
+            mailbox.subscribe(self.session)
+
+    def _kept(self, mailbox: Mailbox) -> Mailbox:
         self._mailboxes = [*(one for one in self._mailboxes if not one.closed), mailbox]
         return mailbox
 
@@ -437,6 +477,8 @@ class Client:
         """End every stream and the session."""
         for mailbox in self._mailboxes:
             mailbox.close()
+        if self._local is not None:
+            self._local.close()
         close(self.session)
         self._leave()
 

@@ -1,4 +1,5 @@
-"""Payloads of a subscription that wait to be read. Zenoh's thread fills the mailbox, one reader empties it."""
+"""Payloads of a subscription that wait to be read. One thread fills the mailbox, Zenoh's or a socket's, and one reader
+empties it."""
 
 from __future__ import annotations
 
@@ -16,26 +17,59 @@ class Mailbox:
     """Payloads in order of arrival; when more than ``depth`` wait, the oldest are dropped."""
 
     def __init__(
-        self, session: zenoh.Session, key: str, depth: int, refusals: Refusals | None = None,
+        self, session: zenoh.Session | None, key: str, depth: int, refusals: Refusals | None = None,
         longest: int = LONGEST_MESSAGE,
     ) -> None:  # fmt: skip
-        """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread."""
+        """``refusals``: counter of refused payloads; ``longest``: payloads of more bytes are refused unread.
+
+        ``session``: subscribes to ``key`` there; None: it is filled by `put`.
+        """
         self.refusals = refusals if refusals is not None else Refusals()
         self._key, self._longest = key, longest
         self.closed = False
         self._waiting: deque[bytes] = deque(maxlen=depth)
         self._come = threading.Event()
         self._wake: Callable[[], None] | None = None
-        self._subscriber = session.declare_subscriber(key, self._put)
+        self._lock = threading.Lock()
+        self._end: Callable[[], object] | None = None
+        if session is not None:
+            self.subscribe(session)
 
-    def _put(self, sample: zenoh.Sample) -> None:
+    def subscribe(self, session: zenoh.Session) -> None:
+        """Have a session fill it from now on."""
+        subscriber = session.declare_subscriber(self._key, self._take)
+
+        def end() -> None:
+            subscriber.undeclare()  # type: ignore[no-untyped-call]
+
+        self.on_close(end)
+
+    def on_close(self, end: Callable[[], object] | None) -> None:
+        """Have `close` call ``end``; if it is closed already, at once."""
+        with self._lock:
+            self._end = end
+            if not self.closed:
+                return
+        self._call_end()
+
+    def _call_end(self) -> None:
+        end, self._end = self._end, None
+        if end is not None:
+            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
+                end()
+
+    def _take(self, sample: zenoh.Sample) -> None:
         if len(sample.payload) > self._longest:
             self.refuse(f"found {len(sample.payload)} bytes, expected at most {self._longest}")
             return
         if "*" in str(sample.key_expr):  # a message on many keys passes rules for one: see rigctl.wire.access_control
             self.refuse("a message on more than one key")
             return
-        self._waiting.append(bytes(sample.payload))
+        self.put(bytes(sample.payload))
+
+    def put(self, payload: bytes) -> None:
+        """Take a payload."""
+        self._waiting.append(payload)
         self._ring()
 
     def refuse(self, why: object) -> None:
@@ -68,8 +102,9 @@ class Mailbox:
 
     def close(self) -> None:
         """End the subscription and wake a waiting reader."""
-        if not self.closed:
+        with self._lock:
+            if self.closed:
+                return
             self.closed = True
-            with contextlib.suppress(zenoh.ZError):  # the session may be closed already
-                self._subscriber.undeclare()  # type: ignore[no-untyped-call]
-            self._ring()
+        self._call_end()
+        self._ring()

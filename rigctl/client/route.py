@@ -22,7 +22,7 @@ import msgspec
 from rigctl.client.local_hold import same_endpoint
 from rigctl.config import layout
 from rigctl.ipc.folder_files import FolderFiles
-from rigctl.ipc.folder_places import GATEWAY_SOCKET
+from rigctl.ipc.folder_places import COMMAND_SOCKET, GATEWAY_SOCKET
 from rigctl.ipc.trusted_folders import opened, trusted_folders
 from rigctl.wire.public_file import PUBLIC, PublicFile
 
@@ -106,6 +106,12 @@ class Route:
     def commands(self, rig: str) -> bool:
         """Whether commands of this rig other than HOLD are taken this way; then its answers are verified too."""
         return self._certified or (self.is_local and self.rig in ("", rig))
+
+    def command_socket(self, rig: str) -> pathlib.Path | None:
+        """Where commands of this rig, and its state, go past Zenoh: beside the gateway's socket; None elsewhere."""
+        if self._certified or not self.is_local or not self.commands(rig):
+            return None
+        return pathlib.Path(self.endpoint.removeprefix(SOCKET)).with_name(COMMAND_SOCKET)
 
     def words(self, rig: str) -> str:
         """Why nothing of this rig is verified and commands are not taken, in one line; empty if all is well."""

@@ -1,6 +1,7 @@
-"""The command server: takes command queries, hands them to the loop through the ring, and answers them.
+"""The command server: takes commands, hands them to the loop through the ring, and answers them.
 
-One thread serves many commands at once.
+It takes values and a function for the answer, whatever brought them: Zenoh (`rigctl.gateway.command_queries`) or the
+socket of this computer (`rigctl.gateway.command_socket`). One thread serves many commands at once.
 """
 
 from __future__ import annotations
@@ -17,14 +18,12 @@ from functools import partial
 from typing import Any
 
 import msgspec
-import zenoh
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.frequency_trial import LONGEST_S
 from rigctl.control.modes import FILED, NEEDS_MOTOR, Setting, SettingOrder, Verb, command_slot
 from rigctl.control.trials import STEP_WAIT_S
-from rigctl.gateway.answers import answer_command
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.lease_service import LeaseService
@@ -36,10 +35,8 @@ from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
-from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
-from rigctl.wire.session import MESSAGE_BYTES
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
@@ -60,12 +57,29 @@ _NAMES_ON_RECORD = 8  # operators put on record for one shared HOLD
 _HOLD_SPACING_NS = 20_000_000  # between two HOLDs for the loop; those that arrive in between share the next one
 
 
+Reply = Callable[[dict[str, Any]], None]
+"""Sends an answer: called once for each command, from any thread; it must not wait."""
+
+
+@dataclass(frozen=True)
+class Giver:
+    """Who gives a command, as the transport shows it.
+
+    ``person``: name in a certificate, which is then the operator's. ``user``: user and process of this computer, in the
+    kernel's words, for the record.
+    """
+
+    person: str = ""
+    user: str = ""
+
+
 @dataclass(frozen=True)
 class GivenCommand:
-    """A command of an operator, and the query to be answered."""
+    """A command of an operator, and what answers it."""
 
-    query: zenoh.Query
+    reply: Reply
     request: Request
+    giver: Giver = Giver()
 
 
 @dataclass(frozen=True)
@@ -103,26 +117,16 @@ def parsed(name: str, payload: bytes | None) -> AnyRequest:
     return parse(verb_of(name), payload)
 
 
-def _payload_of(query: zenoh.Query) -> bytes | None:
-    """A query's payload, not copied where it is too long to be a command."""
-    if query.payload is None:
-        return None
-    if len(query.payload) > MESSAGE_BYTES:
-        raise RequestError(f"found {len(query.payload)} bytes, expected at most {MESSAGE_BYTES}")
-    return bytes(query.payload)
-
-
-def _by_operator(holds: list[GivenCommand]) -> list[Request]:
-    """One request of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
-    return list({one.request.operator: one.request for one in holds}.values())[:_NAMES_ON_RECORD]
+def _by_operator(holds: list[GivenCommand]) -> list[GivenCommand]:
+    """One of each operator, for the record: of at most ``_NAMES_ON_RECORD``, though all are answered."""
+    return list({one.request.operator: one for one in holds}.values())[:_NAMES_ON_RECORD]
 
 
 class CommandServer:
-    """Queries in, ``COMMAND`` slots out, ``REPLY`` slots in, answers out."""
+    """Commands in, ``COMMAND`` slots out, ``REPLY`` slots in, answers out."""
 
     def __init__(
         self,
-        keys: Keys,
         commands: RingWriter,
         replies: RingReader,
         newest: Callable[[], NewestRecord],
@@ -140,7 +144,7 @@ class CommandServer:
         self._run_id = run_id
         self._log, self._preflight = log, preflight
         self._calibration, self._leases = calibration, leases
-        self._keys, self._commands, self._replies = keys, commands, replies
+        self._commands, self._replies = commands, replies
         self._newest_record, self._limits_n = newest, limits_n
         self._work: queue.SimpleQueue[Callable[[], object] | None] = queue.SimpleQueue()  # None ends the thread
         self._holds: deque[GivenCommand] = deque()  # served before all others
@@ -150,11 +154,9 @@ class CommandServer:
         self._last_id = 0
         self._thread = threading.Thread(target=self._serve, name="commands", daemon=True)
 
-    def open(self, session: zenoh.Session) -> None:
-        """Take queries from ``session``."""
+    def open(self) -> None:
+        """Start the thread; from now on `take` may be called."""
         self._thread.start()
-        for person in {"", self._keys.person}:
-            session.declare_queryable(self._keys._replace(person=person).command("*"), self._take)
 
     def give_setting(self, order: SettingOrder) -> None:
         """Send the loop a setting that no operator gives."""
@@ -180,47 +182,47 @@ class CommandServer:
         self._work.put(None)
         self._thread.join(timeout=1.0)
 
-    def _take(self, query: zenoh.Query) -> None:
-        """Check, limit and queue, in Zenoh's thread: nothing here may wait. Commands over the limit go on no record."""
-        key = str(query.key_expr)
-        name = key.rsplit("/", 1)[-1]
-        request: AnyRequest | None = None
-        refusal: dict[str, Any] | None = None
-        person = ""
-        try:
-            person = self._person(key)
-            request = parsed(name, _payload_of(query))
-            if person:  # the access list lets only that person's certificate use the key
-                request = replace(request, operator=person)
-        except RequestError as error:
-            refusal = refused(on_one_line(name), person, "bad_request", str(error))
-        if isinstance(request, Request) and request.verb is Verb.HOLD:
-            refusal = self._meant_for_another(request)
-            if refusal is None:
-                self._holds.append(GivenCommand(query, request))
-                self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
-                return
-            request = None
-        operator, now = request.operator if request is not None else person, time.monotonic_ns()
-        holder = request is not None and self._leases.is_holder(operator, request.lease, now)
-        if why := self._rate.admit(operator, now, holder=holder):
-            answer_command(query, refused(on_one_line(name), operator, "too_many", why))
-        elif refusal is not None:
-            answer_command(query, refusal)
-            self._work.put(partial(self._record_refusal, refusal))
-        elif isinstance(request, LeaseRequest):
-            self._work.put(partial(self._decide_lease, query, request))
-        elif isinstance(request, AlarmRequest):
-            self._work.put(partial(self._decide_alarm, query, request))
-        elif request is not None:
-            self._work.put(partial(self._give, GivenCommand(query, request)))
+    def take(self, name: str, payload: bytes | None, giver: Giver, reply: Reply) -> None:
+        """Check, limit and queue, in the caller's thread: nothing here may wait.
 
-    def _person(self, key: str) -> str:
-        """The name in the certificate under which a command came; empty for one on the rig's own socket."""
+        Commands over the limit go on no record. ``name``: of the command, as its key ends.
+        """
         try:
-            return self._keys.giver(key)
-        except ValueError:
-            raise RequestError(f"found the key {on_one_line(key)}, expected one rig and one command") from None
+            request = parsed(name, payload)
+        except RequestError as error:
+            self.refuse(name, str(error), giver, reply)
+            return
+        if giver.person:  # the access list lets only that person's certificate use the key
+            request = replace(request, operator=giver.person)
+        if isinstance(request, Request) and request.verb is Verb.HOLD:
+            elsewhere = self._meant_for_another(request)
+            if elsewhere is not None:
+                self._refuse(elsewhere, giver, reply)
+                return
+            self._holds.append(GivenCommand(reply, request, giver))
+            self._work.put(lambda: None)  # wakes the thread, which serves HOLDs first
+            return
+        now = time.monotonic_ns()
+        holder = self._leases.is_holder(request.operator, request.lease, now)
+        if why := self._rate.admit(request.operator, now, holder=holder):
+            reply(refused(on_one_line(name), request.operator, "too_many", why))
+        elif isinstance(request, LeaseRequest):
+            self._work.put(partial(self._decide_lease, request, giver, reply))
+        elif isinstance(request, AlarmRequest):
+            self._work.put(partial(self._decide_alarm, request, giver, reply))
+        else:
+            self._work.put(partial(self._give, GivenCommand(reply, request, giver)))
+
+    def refuse(self, name: str, why: str, giver: Giver, reply: Reply) -> None:
+        """Refuse what is no command, in the caller's thread."""
+        self._refuse(refused(on_one_line(name), giver.person, "bad_request", why), giver, reply)
+
+    def _refuse(self, refusal: dict[str, Any], giver: Giver, reply: Reply) -> None:
+        if why := self._rate.admit(giver.person, time.monotonic_ns()):
+            reply(refused(refusal["verb"], giver.person, "too_many", why))
+            return
+        reply(refusal)
+        self._work.put(partial(self._record_refusal, refusal, giver))
 
     def _serve(self) -> None:
         while True:
@@ -233,20 +235,20 @@ class CommandServer:
             self._give_holds(time.monotonic_ns())
             self._collect(time.monotonic_ns())
 
-    def _record_refusal(self, message: dict[str, Any]) -> None:
-        self._log.answered(time.monotonic_ns(), 0, self._holder(), message)
+    def _record_refusal(self, message: dict[str, Any], giver: Giver) -> None:
+        self._log.answered(time.monotonic_ns(), 0, self._holder(), message, giver=giver.user)
 
-    def _decide_lease(self, query: zenoh.Query, request: LeaseRequest) -> None:
+    def _decide_lease(self, request: LeaseRequest, giver: Giver, reply: Reply) -> None:
         message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
-        answer_command(query, message)
-        self._record_refusal(message)
+        reply(message)
+        self._record_refusal(message, giver)
 
-    def _decide_alarm(self, query: zenoh.Query, request: AlarmRequest) -> None:
+    def _decide_alarm(self, request: AlarmRequest, giver: Giver, reply: Reply) -> None:
         """Put a decision about an alarm on record; every display folds it from the events."""
         now = time.monotonic_ns()
         message = self._meant_for_another(request) or self._leases.note_alarm(request, now)
-        answer_command(query, message | {"lease": self._leases.shown(now)})
-        self._record_refusal(message)
+        reply(message | {"lease": self._leases.shown(now)})
+        self._record_refusal(message, giver)
 
     def _meant_for_another(self, request: AnyRequest) -> dict[str, Any] | None:
         """The refusal of a command that names another daemon's run; None if it is meant for this one or for any."""
@@ -283,8 +285,12 @@ class CommandServer:
         wait_ns = WAIT_NS.get(request.verb, ANSWER_NS)
         if math.isfinite(request.creep_s):
             wait_ns += round((request.creep_s + STEP_WAIT_S) * 1e9)
-        self._pending[number] = Pending(GivenCommand(given.query, admitted), now + wait_ns)
-        self._log.given(now, number, request.command, request.operator, self._holder(), request.number)
+        self._pending[number] = Pending(replace(given, request=admitted), now + wait_ns)
+        self._record_given(now, number, given)
+
+    def _record_given(self, now_ns: int, number: int, given: GivenCommand) -> None:
+        request, user = given.request, given.giver.user
+        self._log.given(now_ns, number, request.command, request.operator, self._holder(), request.number, user)
 
     def _give_holds(self, now_ns: int) -> None:
         """Send HOLD before all else and from anyone, since it is safe; waiting HOLDs become one, so no flood forms."""
@@ -294,9 +300,9 @@ class CommandServer:
         first, *others = holds = [self._holds.popleft() for _ in range(len(self._holds))]
         number = self._write(Verb.HOLD)
         self._pending[number] = Pending(first, now_ns + ANSWER_NS, sharing=tuple(others))
-        for request in _by_operator(holds):
-            self._log.given(now_ns, number, "hold", request.operator, self._holder(), request.number)
-            self._leases.note_hold(request, now_ns)
+        for given in _by_operator(holds):
+            self._record_given(now_ns, number, given)
+            self._leases.note_hold(given.request, now_ns)
 
     def _put_in_force(self, recorded: Recorded) -> None:
         """Send the loop what is on record now; the operator is answered when the loop has taken it."""
@@ -371,13 +377,13 @@ class CommandServer:
         message = self._send(given, message, now)
         finding = recorded.filed.finding if recorded is not None else None
         entry = ledger.entry_digest(finding.entry) if finding is not None else ""
-        self._log.answered(now, number, self._holder(), message, entry)
+        self._log.answered(now, number, self._holder(), message, entry, given.giver.user)
 
     def _send(self, given: GivenCommand, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """Answer a command with the lease in force; returns the answer."""
         request = given.request
         message = self._leases.with_lease(request, message, now_ns)
-        answer_command(given.query, message)
+        given.reply(message)
         return message
 
     def _holder(self) -> str:

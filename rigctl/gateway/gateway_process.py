@@ -30,7 +30,9 @@ from rigctl.gateway.active import ActiveConfiguration, ReplacedFile
 from rigctl.gateway.admission import Admission
 from rigctl.gateway.answers import refuse
 from rigctl.gateway.calibration_service import CalibrationService
+from rigctl.gateway.command_queries import take_queries
 from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.command_socket import CommandSocket
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
 from rigctl.gateway.published_position import Cursor
@@ -48,7 +50,7 @@ from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc import heap, standard_output
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.notes import RequestLog
+from rigctl.ipc.notes import Note, RequestLog
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
@@ -270,7 +272,6 @@ class Gateway:
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
-            keys,
             runtime.commands.writer(),
             runtime.replies.reader(),
             lambda: newest_record(newest, view.standing),
@@ -285,7 +286,10 @@ class Gateway:
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
-        self._commands.open(self._command_session)
+        self._socket = CommandSocket(runtime, self._commands.take, lambda: view.newest)
+        self._commands.open()
+        self._socket.open()
+        take_queries(self._command_session, keys, self._commands)
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
@@ -314,12 +318,16 @@ class Gateway:
         self._view.newest = state  # before the events, see above
         self._events.publish()
         self._state.put(state)
+        self._socket.publish(state)
 
     def _note_refused_access(self, now_ns: int) -> None:
         if self._log is not None:
             for line in self._log.lines():
                 self._refused.take(line, now_ns)
         self._places.keep(self._refused, now_ns)
+        while self._socket.closed:
+            who, why = self._socket.closed.popleft()
+            self._refused.add(Note.CONNECTION_CLOSED, f"{why} of {who}", ("", who, why), now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
 
     def _publish_active(self) -> None:
@@ -357,6 +365,7 @@ class Gateway:
         self._preflight.close()
         self._commands.close()
         self.publish()
+        self._socket.close()
         close(self._command_session)
         close(self._session)
         self._cursor.close()

@@ -16,7 +16,7 @@ from rigctl.ipc import writers
 ACTIVE = "active.json"
 PUBLIC, FORMER_PUBLIC = "public.json", "public_key.json"
 """The public file, and its name in the version before, whose daemon may still run."""
-GATEWAY_SOCKET = "gateway.sock"
+GATEWAY_SOCKET, COMMAND_SOCKET = "gateway.sock", "command.sock"
 LOCK = "lock"
 LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22
 

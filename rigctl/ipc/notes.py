@@ -95,23 +95,26 @@ class RequestLog:
     def __init__(self, writer: RingWriter) -> None:
         self._writer = writer
 
-    def given(self, t_ns: int, id_: int, verb: str, operator: str, holder: str, value: float) -> None:
-        """A command passed on to the loop."""
-        self._write(t_ns, False, id_, verb, value, operator, holder, {})
+    def given(self, t_ns: int, id_: int, verb: str, operator: str, holder: str, value: float, giver: str = "") -> None:
+        """A command passed on to the loop; ``giver``: user and process, as the kernel says."""
+        self._write(t_ns, False, id_, verb, value, operator, holder, {}, "", giver)
 
-    def answered(self, t_ns: int, id_: int, holder: str, message: dict[str, Any], entry: str = "") -> None:
+    def answered(
+        self, t_ns: int, id_: int, holder: str, message: dict[str, Any], entry: str = "", giver: str = ""
+    ) -> None:
         """An answer as sent; ``id_``: 0 for a command the loop did not get. ``entry``: hash of the ledger's entry."""
         value = message.get("value")
         number = math.nan if value is None else float(value)
         verb, operator = str(message["verb"]), str(message["operator"])
-        self._write(t_ns, True, id_, verb, number, operator, holder, message, entry)
+        self._write(t_ns, True, id_, verb, number, operator, holder, message, entry, giver)
 
     def _write(
         self, t_ns: int, answered: bool, id_: int, verb: str, value: float, operator: str, holder: str,
-        message: dict[str, Any], entry: str = "",
+        message: dict[str, Any], entry: str, giver: str,
     ) -> None:  # fmt: skip
         accepted, reason, text = (message.get(name, "") for name in ("accepted", "reason", "text"))
         self._writer.write(
             t_ns, answered, id_, verb.encode()[:32], value, operator.encode()[:256], holder.encode()[:256],
             bool(accepted), str(reason).encode()[:32], str(text).encode()[:480], entry.encode(),
+            giver.encode()[:80],
         )  # fmt: skip

@@ -233,6 +233,7 @@ REQUEST = Slot(
         Field("reason", "32s", "", "why refused, the answer's reason"),
         Field("text", "480s", "", "the answer's line"),
         Field("entry", "64s", "", "SHA-256 of what the calibration ledger got, hexadecimal; empty for nothing"),
+        Field("giver", "80s", "", "user and process that gave it, as the kernel says; empty over the network"),
     ),
 )
 

@@ -5,8 +5,8 @@
 ``recorder.json`` (files written by the recorder), ``control.json`` (settings read back by the control process),
 ``calibration.json`` (the cell's zero, scale and due date in force), ``design.json`` (gains exchanged during the run, in
 place of the design in ``active.json``), ``stroke.json`` (the last known stroke at the start of the control process),
-``lease.json`` (holder of the lease), ``gateway.*`` (the gateway's own), ``lock`` (held by the supervisor, with its pid
-in it), ``end.*`` (a process that is a service of its own is to end).
+``lease.json`` (holder of the lease), ``gateway.*`` and ``command.sock`` (the gateway's own), ``lock`` (held by the
+supervisor, with its pid in it), ``end.*`` (a process that is a service of its own is to end).
 
 Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns and that is closed
 to others (0700), follows no link in it, and makes its files anew (0600). Its processes open every file relative to a
@@ -14,8 +14,8 @@ descriptor of the folder that each of them has checked (`Runtime.entered`).
 
 The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may
 be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public.json``, the group
-``rigctl-operator`` opens ``gateway.sock``, and what another process than supervisor and loop writes is in a folder or
-of a group of its own (`rigctl.ipc.writers`).
+``rigctl-operator`` opens ``gateway.sock`` and ``command.sock``, and what another process than supervisor and loop
+writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
 
 What reads only the small files uses `rigctl.ipc.folder_files`, which loads no numpy.
 """

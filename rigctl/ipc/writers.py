@@ -31,8 +31,8 @@ WRITERS = {
         "rigctl-gateway",
         rings=("commands", "notes", "desk"),
         files=(
-            "gateway.cursor", "gateway.sock", "public.json", "public_key.json", "lease.json", "calibration.json",
-            "design.json",
+            "gateway.cursor", "gateway.sock", "command.sock", "public.json", "public_key.json", "lease.json",
+            "calibration.json", "design.json",
         ),
     ),
 }  # fmt: skip

@@ -69,8 +69,12 @@ def _note(slot: np.void) -> Words:
 
 def _request(slot: np.void) -> Words:
     verb, value = _text(slot, "verb"), _number(slot, "value")
-    command = {"id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder")}
+    command: dict[str, Any] = {
+        "id": int(slot["id"]), "verb": verb, "value": value, "holder": _text(slot, "holder"),
+    }  # fmt: skip
     who = _text(slot, "operator")
+    if giver := _text(slot, "giver"):
+        command["giver"] = giver
     if not slot["answered"]:
         return "command_given", who, verb + (f" {significant(value)}" if value is not None else ""), command
     accepted = bool(slot["accepted"])

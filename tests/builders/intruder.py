@@ -171,7 +171,8 @@ def _publish(session: zenoh.Session, keys: Keys, state: bytes) -> None:
             session.put(key, json.dumps(forged).encode())
         event = {"seq": forged["event_seq"] + 1, "t_ns": forged["t_ns"], "wall_ns": time.time_ns(), "severity": "error"}
         event |= {"source": "loop", "kind": "TRIP", "text": "forged", "stream": forged["stream"]}
-        session.put(keys.event("error"), json.dumps(event).encode())
+        for key in (keys.event("error"), Keys("*").event("error")):
+            session.put(key, json.dumps(event).encode())
         time.sleep(0.002)
 
 

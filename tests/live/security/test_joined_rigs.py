@@ -44,7 +44,7 @@ def test_who_speaks_for_the_rig_or_for_every_rig_is_not_shown_and_hears_no_comma
         first.client() as anna,
         Intruder(first.endpoint, "north_rig", "publishes", "answers", "token=north_rig") as intruder,
     ):
-        states = anna.follow(anna.keys.state)
+        states, events = anna.follow(anna.keys.state), anna.follow(anna.keys.event("*"))  # by the socket, by Zenoh
         until(lambda: anna.refusals.count > 50, "what he puts on the keys of every rig")
         assert "more than one key" in anna.refusals.words
         assert anna.command("arm", "anna")["accepted"]
@@ -53,6 +53,7 @@ def test_who_speaks_for_the_rig_or_for_every_rig_is_not_shown_and_hears_no_comma
             assert state is not None
             assert (state["rig"], state["fault"]) == ("north_rig", None)
         assert first.state(anna)["mode"] == "HOLD"
+        assert "forged" not in {event["text"] for event in events.arrived()}
         assert not intruder.was_asked
 
 

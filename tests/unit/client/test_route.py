@@ -48,6 +48,10 @@ def test_the_socket_of_the_rig_that_listens_there_is_taken(base: pathlib.Path) -
         assert (route.is_local, route.rig, leads_to(route)) == (True, "one", folder)
         assert route.commands("one")
         assert route.words("one") == ""
+        place = route.command_socket("one")
+        assert place is not None
+        assert place.resolve() == folder / "command.sock"
+        assert route.command_socket("two") is None  # what the rig there relays is not commanded
         route.leave()
 
 
@@ -72,6 +76,8 @@ def test_elsewhere_it_is_the_endpoint_and_commands_are_not_taken(base: pathlib.P
         assert "\n" not in route.words("one")
     certified = Route(ENDPOINT.replace("tcp", "tls"), "one", certified=True)
     assert (certified.endpoint, certified.commands("one")) == ("tls/127.0.0.1:7447", True)
+    assert certified.command_socket("one") is None
+    assert Route(OTHER, "one").command_socket("one") is None
 
 
 def test_a_rig_that_joins_the_router_there_has_its_own_socket(base: pathlib.Path) -> None:

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
+import pwd
+import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -25,8 +28,10 @@ from rigctl.control.safety import Action, table
 from rigctl.control.trials import AVERAGED_S
 from rigctl.gateway.command_rate import ALL_BURST
 from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS
+from rigctl.gateway.command_socket import PER_USER, TOO_MANY
 from rigctl.gateway.gateway_process import Gateway
 from rigctl.ipc import ledger, runtime_folder
+from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
@@ -148,6 +153,68 @@ def test_a_command_without_an_entry_is_logged_without_one(rig: Rig) -> None:
     given, answered = rig.logged(2)
     assert (given["answered"], given["id"]) == (0, answered["id"])
     assert (answered["answered"], answered["entry"]) == (1, b"")
+
+
+OWN = pwd.getpwuid(os.geteuid()).pw_name
+USER = f"process {os.getpid()} of {OWN}"
+
+
+def test_commands_lease_and_refusals_come_by_the_command_socket_with_their_user_on_record(rig: Rig) -> None:
+    answer = rig.ask("disarm")
+    rig.answer(rig.order(Verb.DISARM))
+    assert answer.result(patience_s())["accepted"]
+    assert rig.client.return_lease("kim")["accepted"]
+    assert rig.client.ask(rig.client.keys.command("disarm"), b"{}")[0] is False
+    slots = rig.logged(4)
+    assert [bytes(slot["verb"]).decode() for slot in slots] == ["disarm", "disarm", "lease_return", "disarm"]
+    assert {bytes(slot["giver"]).decode() for slot in slots} == {USER}
+
+
+def test_states_come_by_the_command_socket(rig: Rig) -> None:
+    states = rig.client.follow(rig.client.keys.state)
+    until(lambda: rig.gateway._socket._followed)
+    rig.record(mode=Mode.HOLD)
+    rig.gateway.publish()
+    assert until(states.take)["mode"] == "HOLD"
+    states.close()
+
+
+def test_a_gateway_of_the_version_before_is_read_and_commanded_by_zenoh(rig: Rig) -> None:
+    """It has no command socket."""
+    rig.gateway._socket.close()
+    rig.runtime.place(COMMAND_SOCKET).unlink()
+    states = rig.client.follow(rig.client.keys.state)
+    answer = rig.ask("disarm")
+    rig.answer(rig.order(Verb.DISARM))
+    assert answer.result(patience_s())["accepted"]
+    assert {bytes(slot["giver"]) for slot in rig.logged(2)} == {b""}
+    assert rig.client.state()["rig"] == rig.settings.rig
+
+    def came() -> object:
+        rig.gateway._state.put(rig.gateway._view.newest)
+        return states.take()
+
+    until(came)
+
+
+def test_who_lost_connections_is_on_record_once(rig: Rig) -> None:
+    place = str(rig.runtime.place(COMMAND_SOCKET))
+    idle = [socket.socket(socket.AF_UNIX) for _ in range(PER_USER + 5)]
+    for one in idle:
+        one.connect(place)
+    until(lambda: rig.gateway._socket.closed)
+
+    def noted() -> list[tuple[int, str]]:
+        rig.gateway.publish()
+        return [one for one in notes(rig.runtime) if one[0] == Note.CONNECTION_CLOSED]
+
+    until(noted)
+    assert len(noted()) == 1
+    (note,) = [one for one in rig.runtime.notes.reader(from_start=True).read() if one["kind"] == Note.CONNECTION_CLOSED]
+    assert (note["other"].decode(), note["reason"].decode().partition(" (")[0]) == (f"local user {OWN}", TOO_MANY)
+    assert rig.client.state()["rig"] == rig.settings.rig
+    for one in idle:
+        one.close()
 
 
 def test_a_reply_to_a_command_of_an_earlier_gateway_is_nobodys(rig: Rig) -> None:

@@ -157,7 +157,7 @@ def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
         events.write(number, 9, 0, 0, 0.0, 0.0, b"")
     recorder.poll(2, 2)
     events.write(6, 9, 0, 0, 0.0, 0.0, b"")
-    desk.given(7, 99, "arm", "kim", "", math.nan)
+    desk.given(7, 99, "arm", "kim", "", math.nan, "process 7 of anna")
     desk.answered(
         8, 99, "kim", {"accepted": False, "verb": "arm", "operator": "kim", "reason": "no", "text": "ARM: no"}
     )
@@ -169,8 +169,11 @@ def test_a_recorder_goes_on_from_the_log_and_a_new_daemon_begins_its_rings_anew(
     assert started.details["version"] == "1"
     assert len(started.details["settings_sha256"]) == 64
     assert started.details["calibration_waiver"] == "simulated cell: there is no weight to hang on it"
-    asked = [(entry.what, entry.who, entry.details["id"]) for entry in found if entry.source == "desk"]
-    assert asked == [("command_given", "kim", 99), ("command_refused", "kim", 99)]
+    asked = [
+        (entry.what, entry.who, entry.details["id"], entry.details.get("giver"))
+        for entry in found if entry.source == "desk"
+    ]  # fmt: skip
+    assert asked == [("command_given", "kim", 99, "process 7 of anna"), ("command_refused", "kim", 99, None)]
     runtime.make_rings(settings)
     runtime.write_json(ACTIVE, {**runtime.read_json(ACTIVE), "started_wall_ns": 6})
     runtime.events.writer().write(6, 9, 0, 0, 0.0, 0.0, b"")
