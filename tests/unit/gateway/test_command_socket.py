@@ -341,7 +341,7 @@ def test_a_follower_goes_on_with_the_next_gateway(gateway: Gateway) -> None:
     mailbox.clear()
     gateway.socket = CommandSocket(gateway.runtime, gateway.take, lambda: STATE)
     gateway.socket.open()
-    assert until(lambda: published(b"2")) == b"2"
+    until(lambda: published(b"2") == b"2")  # a state of the former gateway may come first
     mailbox.close()
     client.close()
 
