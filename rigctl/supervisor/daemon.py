@@ -383,8 +383,7 @@ class Supervisor:
         try:
             found = self._runtime.read_json(ACTIVE)
             msgspec.convert(found["design"]["gains"], Gains)
-            rest = {name: value for name, value in found.items() if name != "design"}
-            if rest == {name: value for name, value in self._active.items() if name != "design"}:
+            if _but_design(found) == _but_design(self._active):
                 self._active["design"] = found["design"]
                 return
             why = "it is not what was written"
@@ -538,3 +537,9 @@ def _ending(last: np.void, clean: bool) -> tuple[int, str]:
     if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
         return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
     return 0, f"stopped in {mode}: {where}, brake closed"
+
+
+def _but_design(active: dict[str, Any]) -> bytes:
+    """The active configuration without its design, as JSON: for Python 1, 1.0 and True are equal."""
+    rest = {name: value for name, value in active.items() if name != "design"}
+    return msgspec.json.encode(rest, order="deterministic")
