@@ -13,7 +13,7 @@ import pathlib
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -24,7 +24,6 @@ from tests.builders.smoke import pytest_terminal_summary
 __all__ = ["pytest_runtest_makereport", "pytest_runtest_protocol", "pytest_terminal_summary"]
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in rigctl and hil; the workers of xdist inherit it
-gc.disable()  # until the tests are collected: nothing is garbage until then, and it takes longer than all the rest
 HERE = pathlib.Path(__file__).parent
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 REAL_TIME = ("guest", "live/system")
@@ -65,10 +64,15 @@ def pytest_sessionstart() -> None:
             signal.signal(number, usual)
 
 
-def pytest_collection_finish() -> None:
-    """Spare the collector the tests themselves from here on."""
-    gc.freeze()
-    gc.enable()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Nothing is garbage while tests are collected, and to look for it takes longer than all the rest."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
