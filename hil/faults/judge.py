@@ -33,6 +33,7 @@ MOVES_MM_S, LAST_S, DEAD_REST_MM = 0.1, 1.0, 0.02
 DEATH = "the death of the loop stopped it"
 SEEN_MM = 2.0
 """By stiffness: a load that sinks on its brake is seen by then."""
+_LOAD_MOVES = [Fault.STROKE_MOVES, Fault.LOAD_SINKS, Fault.BRAKE_SLIPS]
 WORSE_THAN_CUT = 1.1
 SHOWN_TICKS = 2
 """Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
@@ -173,12 +174,12 @@ def _unseen(run: Run, undisturbed: Run, expected: Reaction, stiffness_n_mm: floa
     """Of a load that moves on, since nothing but an operator's command may stop it: how far until a fault says so."""
     if expected is not Reaction.MOVES:
         return []
-    shown_ns = run.events["t_ns"][np.isin(run.events["kind"], (Kind.TRIP, Kind.CAUSE))]
+    events = run.events
+    shown_ns = events["t_ns"][np.isin(events["kind"], (Kind.TRIP, Kind.CAUSE)) & np.isin(events["a"], _LOAD_MOVES)]
     if not len(shown_ns):
         return ["no fault shows that the load moves"]
     shown_s = (int(shown_ns[0]) - int(run.records["t_ns"][0])) * 1e-9 + run.records_t_s[0]
-    until = run.t_s <= shown_s
-    off_n = run.tension_n[until] - undisturbed.tension_n[: len(run.t_s)][until]
+    off_n = (run.tension_n - _until(run, undisturbed, undisturbed.tension_n, None))[run.t_s <= shown_s]
     moved_mm = float(np.max(np.abs(off_n), initial=0.0)) / stiffness_n_mm
     return [f"the load moved {moved_mm:.2f} mm before a fault showed it"] if moved_mm > SEEN_MM else []
 

@@ -165,7 +165,7 @@ def test_a_rigs_row_says_what_was_so(bench: Bench) -> None:
     assert found.tension_min_n == pytest.approx(300.0, abs=1.0)
 
 
-@pytest.mark.gate("3-cell_silent-1", "29-io_silent-0", "23-io_e_stop-1")
+@pytest.mark.gate("3-cell_silent-1", "29-io_silent-0", "23-io_e_stop-1", "51-encoder_stuck_brake_slips_later_500-5")
 @pytest.mark.parametrize(
     ("fault", "name", "mode"),
     [
@@ -175,6 +175,7 @@ def test_a_rigs_row_says_what_was_so(bench: Bench) -> None:
         (Fault.E_STOP_UNSEEN, "io_silent", Mode.COMPENSATING),
         (Fault.E_STOP_UNSEEN, "io_silent", Mode.DISARMED),
         (Fault.E_STOP, "io_e_stop", Mode.HOLD),
+        (Fault.LOAD_SINKS, "encoder_stuck_brake_slips_later_500", Mode.FAULT),
     ],
 )
 def test_a_safety_table_without_a_row_makes_rows_fail(
