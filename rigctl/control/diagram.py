@@ -86,7 +86,8 @@ closed brake a load that begins to move is an event, and so is its rest.
 
 A stroke that is still not at rest {REST_NS * 1e-9:g} s after a stop should have ended is parked all the same: the
 drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for a stated time, then the load is parked
-again; `tare` and `calibrate` run on the brake. A rig without a brake (`cylinder.brake_waiver`) is held by the motor.
+again; `tare` and `calibrate` measure on the brake, which takes the load for them at standstill. A rig without a brake
+(`cylinder.brake_waiver`) is held by the motor.
 
 `tension`, `release`, {_TRIALS} take a parked load back first: drive on, motor carries, brake open, motion. The command
 is answered when the motion begins, with "taking the load from the brake" and the time that it took. A refusal leaves

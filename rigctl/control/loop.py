@@ -409,10 +409,13 @@ class Loop:
         """Let the brake take a load that the motor has held for long enough, or lower it where the brake slips."""
         machine, trial = self.machine, self._orders.trial
         until_ns = self._orders.powered_until_ns if trial is not None else machine.carry_until_ns
+        measures = trial is not None and not trial.power_s
         powered = machine.drive_wanted and not machine.stopping
         if machine.mode is Mode.FAULT and machine.carry_until_ns:
             self._carry_on(t_ns)
-        elif self._parking.due(t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns):
+        elif self._parking.due(
+            t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns, measures=measures
+        ):
             machine.park(went_off=not self.observer.snapshot.drive_enabled)
             self._first_second.begin(self.observer.snapshot)
 

@@ -143,6 +143,8 @@ class Orders:
         if trial is None:
             return
         if machine.trial is not None:
+            if self._waits_for_brake(trial):
+                return
             verdict = trial.see(self._observer.inbox, self._observer.snapshot)
             if isinstance(trial, trials.LoadStep):
                 for part in trial.take_bins():
@@ -152,6 +154,11 @@ class Orders:
             self._found = trial.figures
             machine.end_trial(verdict)
         self.trial = None
+
+    def _waits_for_brake(self, trial: trials.Trial) -> bool:
+        """Whether a trial that only measures waits for the brake: a motor that holds the load moves it."""
+        on_motor = self._machine.mode is Mode.HOLD and not self._observer.braked
+        return on_motor and not trial.power_s and self._settings.cylinder.brake_waiver is None
 
     def prepare(self, t_ns: int) -> None:
         """Go on with the sequence of an accepted command; the checks must pass to its end."""

@@ -37,7 +37,9 @@ class Parking:
         self._mode = Mode.DISARMED
         self._since_ns = 0
 
-    def due(self, t_ns: int, mode: Mode, snapshot: Snapshot, *, powered: bool, until_ns: int) -> bool:
+    def due(
+        self, t_ns: int, mode: Mode, snapshot: Snapshot, *, powered: bool, until_ns: int, measures: bool = False
+    ) -> bool:
         """Whether the brake takes the load now.
 
         In HOLD that is after ``hold.park_s`` at standstill, in FAULT at standstill; in both, once a stop should long
@@ -49,6 +51,7 @@ class Parking:
             snapshot: of this tick.
             powered: the motor has the load.
             until_ns: the motor keeps the load until then, for a trial or a CARRY; 0: no.
+            measures: a trial waits for the brake, which takes the load at standstill, as in FAULT.
         """
         if not powered or mode not in _KEEPS or t_ns < until_ns or mode is not self._mode:
             self._mode, self._since_ns = mode, t_ns
@@ -57,7 +60,7 @@ class Parking:
             return False
         if mode is Mode.FAULT and not snapshot.drive_enabled:  # it has closed its brake by itself
             return True
-        held_ns, wanted_ns = t_ns - self._since_ns, STILL_NS if mode is Mode.FAULT else self._park_ns
+        held_ns, wanted_ns = t_ns - self._since_ns, STILL_NS if mode is Mode.FAULT or measures else self._park_ns
         if min(held_ns, snapshot.still_ns) >= wanted_ns:
             return True
         return held_ns >= self._rest_ns + (0 if mode is Mode.FAULT else self._park_ns)

@@ -46,7 +46,7 @@ class Trial(Protocol):
     moves: bool
     """The trial moves the stroke on purpose."""
     power_s: float
-    """Longest time for which the trial needs the motor to hold; 0: it may run with the load on the brake."""
+    """Longest time for which the trial needs the motor to hold; 0: in HOLD it measures with the load on the brake."""
 
     @property
     def wanted_mm_s(self) -> float:

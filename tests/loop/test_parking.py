@@ -23,6 +23,7 @@ from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
+from rigctl.control.trials import Average
 from rigctl.devices import objects
 from tests.builders.branches import Started
 
@@ -314,12 +315,22 @@ def test_a_trial_beyond_its_time_is_ended_and_the_load_parked(parked: Lockstep) 
     assert parked.rig.drive.control.stage.braked
 
 
+@pytest.mark.parametrize("held_s", [0.0, 1.9, 3.0])
 @pytest.mark.parametrize("verb", [Verb.TARE, Verb.CALIBRATE])
-def test_a_measurement_at_rest_runs_with_the_load_on_the_brake(rig: Lockstep, verb: Verb) -> None:
+def test_a_measurement_at_rest_waits_for_the_brake_to_have_the_load(rig: Lockstep, verb: Verb, held_s: float) -> None:
     assert rig.command(Verb.ARM) is Refusal.NONE
-    rig.run(3.0)
-    assert rig.command(verb, *([0.0, float("nan")] if verb is Verb.CALIBRATE else [])) is Refusal.NONE
-    assert rig.rig.drive.control.stage.braked
+    rig.run(held_s)
+    id_ = rig.give(verb, *([0.0, float("nan")] if verb is Verb.CALIBRATE else []))
+    rig.tick()
+    measured = rig.loop._orders.trial
+    assert isinstance(measured, Average)
+    for _ in range(3000):
+        assert rig.rig.drive.control.stage.braked or not measured.samples
+        if rig.loop._orders.trial is None:
+            break
+        rig.tick()
+    assert rig.answer(id_) is Refusal.NONE
+    assert held_by(rig) is HeldBy.BRAKE
 
 
 # -- reset -----------------------------------------------------------------------------------------------------------
