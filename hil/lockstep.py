@@ -231,11 +231,20 @@ class Lockstep:
     def _answer(self, what: str, is_its_id: Callable[[int], object], limit_s: float) -> Refusal:
         for _ in range(round(limit_s * self.settings.loop.rate_hz)):
             self.tick()
-            for reply in self._replies.read():
-                if is_its_id(int(reply["id"])):
-                    self.reply = reply
-                    return Refusal(int(reply["reason"]))
+            if self._find_reply(is_its_id):
+                return Refusal(int(self.reply["reason"]))
         raise TimeoutError(f"{what} was not answered within {limit_s} s")
+
+    def reply_to(self, id_: int) -> Any:
+        """The reply to the command ``id_``, if it has come since replies were last read; else None."""
+        return self.reply if self._find_reply(id_.__eq__) else None
+
+    def _find_reply(self, is_its_id: Callable[[int], object]) -> bool:
+        for reply in self._replies.read():
+            if is_its_id(int(reply["id"])):
+                self.reply = reply
+                return True
+        return False
 
     def run_until(self, mode: Mode, limit_s: float) -> None:
         """Run until the loop is in ``mode``.

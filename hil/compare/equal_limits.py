@@ -59,7 +59,7 @@ class Known(NamedTuple):
     @classmethod
     def of(cls, rig: RigSettings, found: Identified | None = None) -> Known:
         """``found``: what the identification gives; None for the truth with its uncertainty."""
-        found = found or identification.identified(rig)
+        found = found or identification.exact(rig)
         believed = searchable(identified.believing(rig, found))
         return cls(believed, found, identified.family(believed, found))
 
@@ -105,7 +105,7 @@ def study(
         )
         for run in runs:
             settings = run.settings(rig, WAIVER)
-            known = Known.of(settings)
+            known = Known.of(settings, identified_by(settings, run.name, rows))
             tunings[run.name, law] = mine = tuning(known, law, rows, base, designs=designs)
             true_ms[run.name, law] = ms_as_built(settings, known, mine)
             key = f"play {run.name} {law}"
@@ -113,6 +113,13 @@ def study(
             outcomes[run.name, law] = found = RunErrors(**kept)
             say(f"{law}: {run.name}: {_words(found)}")
     return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings, true_ms)
+
+
+def identified_by(settings: RigSettings, name: str, rows: RowsFile) -> Identified:
+    """What an identification finds of a rig; it is kept by ``name``."""
+    key = f"identified {name}"
+    kept = rows.get(key) or rows.put(key, identification.played(settings).as_dict())
+    return Identified.of(kept)
 
 
 def tuning(

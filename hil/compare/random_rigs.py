@@ -64,8 +64,8 @@ class RigRow(NamedTuple):
     ended: str
 
 
-def drawn(rig: RigSettings, seed: int, index: int) -> tuple[RigSettings, np.random.Generator]:
-    """The rig of an index, and the generator for its identification."""
+def drawn(rig: RigSettings, seed: int, index: int) -> RigSettings:
+    """The rig of an index."""
     rng = np.random.default_rng([seed, index])
     simulation = rig.simulation
     assert simulation is not None  # the command refuses a rig without it
@@ -94,7 +94,7 @@ def drawn(rig: RigSettings, seed: int, index: int) -> tuple[RigSettings, np.rand
         "tension_cell.noise_n": noise * rig.tension_cell.noise_n,
         **rubbing,
     }
-    return changed(rig, values), rng
+    return changed(rig, values)
 
 
 def scenario() -> ComparedRun:
@@ -136,24 +136,34 @@ def row_of(
     rig: RigSettings, seed: int, index: int, law: str, base: TunedLaw | None, designs: int | None
 ) -> RigRow:  # fmt: skip
     """A law on one rig: tuned for what was identified, Ms measured, the move played."""
-    settings, rng = drawn(rig, seed, index)
+    settings = drawn(rig, seed, index)
     levels: tuple[float, ...] = (1.0,)
     if law == ASSUMED:
         designed = design_and_check(settings)
         runs, family = LoopLaw(settings, designed.gains), designed.ms_max
     else:
-        known = Known.of(settings, identification.identified(settings, rng))
+        try:
+            known = Known.of(settings, identification.played(settings))
+        except ScenarioError as error:
+            if error.exit_code != 1:
+                raise
+            return RigRow(index, law, *_built(settings), *(None,) * 8, str(error))
         mine = tuning(known, law, RowsFile(None, {}), base, designs=designs)
         runs, family = loop_law(known, mine), mine.ms
         if law == OURS:
             _, designed = our_design(known, mine.values)
             levels = tuple(sorted({0.0, 1.0, designed.worst_level}))
     peak = peak_of(settings, runs, levels)
-    outcome, plant = played(settings, runs, scenario()), identification.built(settings)
+    outcome = played(settings, runs, scenario())
     return RigRow(
-        index, law, plant.stiffness_n_mm, plant.mechanism_n_mm, *peak, plain(family), outcome.eta_max_pct,
-        outcome.eta_rms_pct, outcome.micro_g, outcome.ended,
+        index, law, *_built(settings), *peak, plain(family), outcome.eta_max_pct, outcome.eta_rms_pct, outcome.micro_g,
+        outcome.ended,
     )  # fmt: skip
+
+
+def _built(settings: RigSettings) -> tuple[float, float | None]:
+    plant = identification.built(settings)
+    return plant.stiffness_n_mm, plant.mechanism_n_mm
 
 
 def peak_of(settings: RigSettings, runs: LoopLaw, levels: Sequence[float]) -> MeasuredPeak:

@@ -68,9 +68,7 @@ def respond(rig: Lockstep) -> tuple[Refusal, npt.NDArray[Any]]:
     parts = []
     for _ in range(round(LIMIT_S / 0.5)):
         parts.append(rig.run(0.5))
-        for reply in rig._replies.read():
-            if reply["id"] == given:
-                rig.reply = reply
-                records = np.concatenate(parts)
-                return Refusal(int(reply["reason"])), records[records["t_ns"] <= reply["t_ns"]]
+        if (reply := rig.reply_to(given)) is not None:
+            records = np.concatenate(parts)
+            return Refusal(int(reply["reason"])), records[records["t_ns"] <= reply["t_ns"]]
     raise TimeoutError

@@ -94,7 +94,7 @@ def measured(rig: RigSettings) -> npt.NDArray[np.complex128]:
 @pytest.mark.gate(*map(str, range(IN_THE_GATE)))
 @pytest.mark.parametrize("index", range(RIGS))
 def test_design_and_simulated_plant_have_one_response(index: int) -> None:
-    rig = on_the_grid(changed(drawn(config.load(PAPER), SEED, index)[0], LINEAR))
+    rig = on_the_grid(changed(drawn(config.load(PAPER), SEED, index), LINEAR))
     assert rig.simulation is not None
     if (rig.simulation.mechanism.vertical_n_mm or math.inf) < SOFT_N_MM:
         rig = changed(rig, {"simulation.cell.filter_hz": None})

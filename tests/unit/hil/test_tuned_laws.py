@@ -8,7 +8,6 @@ import pathlib
 from io import StringIO
 from typing import Any
 
-import numpy as np
 import pytest
 from rich.console import Console
 
@@ -125,39 +124,39 @@ def test_a_law_that_is_unstable_on_its_own_plant_is_beyond_every_limit() -> None
     assert found is None or found.ms > RIG.design.ms_max
 
 
-def test_an_identification_is_of_the_rig_as_built_within_its_uncertainty() -> None:
+def test_what_is_known_exactly_is_the_rig_as_built() -> None:
     rig = changed(RIG, {"simulation.stiffness_scale": 1.3, "simulation.mechanism.vertical_n_mm": 60.0,
                         "simulation.delay_scale": 2.0})  # fmt: skip
-    truth = identification.built(rig)
-    exact = identification.identified(rig)
-    assert exact.stiffness_n_mm.value == pytest.approx(1.3 * RIG.plant.stiffness_n_mm)
-    assert exact.delay_s.value == pytest.approx(0.004 + 1.0 / (2.0 * math.pi * 500.0))  # with the cell's filter
-    assert exact.mechanism_n_mm is not None
-    rng = np.random.default_rng(1)
-    drawings = [identification.identified(rig, rng) for _ in range(400)]
-    for name in ("stiffness_n_mm", "lag_s", "delay_s", "mechanism_n_mm"):
-        figures = [getattr(found, name) for found in drawings]
-        inside = sum(abs(figure.value - getattr(truth, name)) <= figure.error for figure in figures)
-        assert 0.92 < inside / len(figures) < 0.98
-    rigid = identification.identified(changed(RIG, {"simulation.mechanism.vertical_n_mm": 5000.0}))
+    found = identification.exact(rig)
+    assert found.stiffness_n_mm.value == pytest.approx(1.3 * RIG.plant.stiffness_n_mm)
+    assert found.delay_s.value == pytest.approx(0.004 + 1.0 / (2.0 * math.pi * 500.0))  # with the cell's filter
+    assert found.mechanism_n_mm is not None
+    rigid = identification.exact(changed(RIG, {"simulation.mechanism.vertical_n_mm": 5000.0}))
     assert rigid.mechanism_n_mm is None
     assert rigid.mechanism_above_n_mm is not None
     assert rigid.mechanism_above_n_mm < 5000.0
 
 
+@pytest.mark.study
+def test_what_is_played_finds_the_rig_as_built_within_what_it_states() -> None:
+    rig = drawn(RIG, 1, 0)
+    found, truth = identification.played(rig), identification.built(rig)
+    assert found.damping_n_s_mm is not None
+    for name in ("stiffness_n_mm", "lag_s", "delay_s", "damping_n_s_mm"):
+        figure = getattr(found, name)
+        assert abs(figure.value - getattr(truth, name)) <= 2.0 * figure.error, name
+
+
 def test_a_random_rig_follows_from_its_seed_and_is_within_the_stated_ranges() -> None:
     for index in range(40):
-        rig, rng = drawn(RIG, 3, index)
-        again, _ = drawn(RIG, 3, index)
-        assert rig == again
+        rig = drawn(RIG, 3, index)
+        assert rig == drawn(RIG, 3, index)
         truth = identification.built(rig)
         assert 4.0 <= truth.stiffness_n_mm <= 40.0
         assert 0.7 <= truth.lag_s / RIG.plant.cylinder_lag_s <= 1.3
         assert abs(truth.delay_s - identification.built(RIG).delay_s) <= 0.002
         assert truth.mechanism_n_mm is None or 6.0 <= truth.mechanism_n_mm <= 3000.0
-        known = Known.of(rig, identification.identified(rig, rng))
-        assert known.settings.plant.stiffness_n_mm == pytest.approx(truth.stiffness_n_mm, rel=0.02)
-    assert drawn(RIG, 3, 0)[0] != drawn(RIG, 4, 0)[0]
+    assert drawn(RIG, 3, 0) != drawn(RIG, 4, 0)
 
 
 def test_the_family_about_an_identified_rig_holds_the_true_plant() -> None:
