@@ -78,7 +78,7 @@ def test_lag_and_delay_are_found_between_the_ticks(lag_s: float, delay_s: float)
     delay_s = round(delay_s * 5e4) / 5e4  # on the reference's own grid
     found = drive_of(simulated(lag_s, delay_s))
     for estimate, truth in ((found.lag_s, lag_s), (found.delay_s, delay_s)):
-        # One of 20 intervals of 95 % misses, and hypothesis looks for it; `python -m tests.bench coverage` counts them.
+        # One of 20 intervals of 95 % misses, and hypothesis looks for it; tests/studies/test_intervals.py counts them.
         assert abs(estimate.value - truth) <= 3.0 * estimate.error
         # Seven tenths of the position's unit, at this speed; of a slow drive a share, for it does not settle in a step.
         share = 0.05 if lag_s <= SETTLING_S else LAG_SHARE
