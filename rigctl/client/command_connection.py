@@ -11,7 +11,6 @@ import pathlib
 import socket
 import threading
 import time
-from collections.abc import Callable
 
 from rigctl.client.mailbox import Mailbox
 from rigctl.wire.socket_message import (
@@ -147,7 +146,6 @@ class CommandConnections:
         """One question; whether it was answered (else refused), and the answer's bytes.
 
         Raises:
-            FileNotFoundError: there is no such socket: a daemon of a version before.
             OSError: no answer; whether a command was carried out is unknown.
         """
         until = time.monotonic() + limit_s
@@ -166,22 +164,14 @@ class CommandConnections:
             return answer.good, found
         raise ConnectionError("the gateway ends every connection")
 
-    def follow_state(self, mailbox: Mailbox, otherwise: Callable[[Mailbox], None]) -> None:
-        """Put every state from now on into a mailbox until it is closed, also of gateways to come, in a thread.
+    def follow_state(self, mailbox: Mailbox) -> None:
+        """Put every state from now on into a mailbox until it is closed, also of gateways to come, in a thread."""
+        threading.Thread(target=self._follow, args=(mailbox,), name="states", daemon=True).start()
 
-        ``otherwise``: subscribes where there is no such socket: a daemon of a version before.
-        """
-        thread = threading.Thread(target=self._follow, args=(mailbox, otherwise), name="states", daemon=True)
-        thread.start()
-
-    def _follow(self, mailbox: Mailbox, otherwise: Callable[[Mailbox], None]) -> None:
+    def _follow(self, mailbox: Mailbox) -> None:
         while not mailbox.closed and not self._closed:
             with contextlib.suppress(OSError):
-                try:
-                    one = self._opened(SILENCE_S)
-                except FileNotFoundError:
-                    otherwise(mailbox)
-                    return
+                one = self._opened(SILENCE_S)
                 mailbox.on_close(one.end)
                 try:
                     answer, _ = one.ask(STATE, b"", SILENCE_S, follow=True)

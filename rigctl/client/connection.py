@@ -5,7 +5,6 @@ Zenoh runs in client mode: once connected it reconnects by itself after a restar
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import os
 import pathlib
@@ -18,7 +17,7 @@ from typing import Any, Self, TypeVar
 import msgspec
 import zenoh
 
-from rigctl.client import shapes
+from rigctl.client import local_hold, shapes
 from rigctl.client.block_order import DEPTH_BLOCKS, BlockSource
 from rigctl.client.command_connection import CommandConnections
 from rigctl.client.decoding import SampleLayout, SchemaError, layout_of, usable_schema
@@ -50,6 +49,7 @@ from rigctl.wire.socket_message import COMMAND, STATE
 
 _AGAIN_S = 0.05
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
+FORMER = "the daemon is of a version before: restart the daemon to command it"
 OPEN_S = 2.0
 ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s
@@ -189,8 +189,8 @@ class Client:
 
         ``key``: key file, else ``RIGCTL_KEY``, for an endpoint ``tls/``; who commands is then the name in it.
 
-        ``run_id``: of the one daemon process that may be commanded; every command carries it, and a daemon of another
-        run refuses it (``other_run``).
+        ``run_id``: of the one daemon process that may be commanded; every command but HOLD carries it, and a daemon of
+        another run refuses it (``other_run``).
 
         Raises:
             NoDaemonError: no daemon answers, access is not allowed, or the run is not ``run_id``.
@@ -212,7 +212,7 @@ class Client:
             self.route.leave()
             raise
         self._leave = self.route.followed()
-        self._local: CommandConnections | None = None
+        self._local: CommandConnections | None = None  # of a version before there is no socket for commands
         try:
             self.keys = Keys(self._choose(wanted), self.person)
             if (place := self.route.command_socket(self.rig)) is not None:
@@ -308,7 +308,7 @@ class Client:
         raise unknown or self._nobody()
 
     def _ask_here(self, key: str, payload: bytes | None, timeout_s: float, check: Check) -> tuple[bool, bytes] | None:
-        """As `ask`, by the command socket of this computer; None: it is not there, or takes no such question.
+        """As `ask`, by the command socket of this computer; None: there is none, or it takes no such question.
 
         Raises:
             NoDaemonError: no answer.
@@ -320,8 +320,6 @@ class Client:
         try:
             good, found = self._local.ask(tail, payload, timeout_s)
             check(found) if good else shapes.refusal(found)
-        except FileNotFoundError:  # a daemon of the version before
-            return None
         except MessageRefusedError as error:
             self.refusals.add(key, error)
             raise self._nobody() from None
@@ -399,11 +397,15 @@ class Client:
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         operator = self.person or operator
+        if name == _HOLD and not self.person:
+            held = local_hold.hold(self.endpoint, self.rig, operator)
+            if held is not None:
+                return held
         body = {"operator": operator} | body | ({"run_id": self._run_id} if self._run_id is not None else {})
-        if (takes := self.route.commands(self.rig)) and (lease := self.leases.get(operator)) is not None:
+        if (lease := self.leases.get(operator)) is not None:
             body["lease"] = lease
-        if not takes and name != _HOLD:
-            what, why = "LEASE" if name in ACTS else name.upper(), self.route.words(self.rig)
+        if self._local is None and not self.person:
+            what, why = "LEASE" if name in ACTS else name.upper(), self.route.words(self.rig) or FORMER
             return {
                 "accepted": False, "verb": name, "operator": operator, "reason": "not_allowed",
                 "text": f"{what} refused: {why}",
@@ -415,7 +417,7 @@ class Client:
                 raise
             raise NoDaemonError(f"{name} of {self.person} is not answered at {self.endpoint} ({ABSENT})") from None
         answer = shapes.answer(found) if answered else shapes.refusal(found)
-        if takes and (id_ := (answer.get("lease") or {}).get("id")):
+        if id_ := (answer.get("lease") or {}).get("id"):
             self.leases[operator] = id_
         return answer
 
@@ -424,7 +426,7 @@ class Client:
         """JSON messages published on ``key`` from now on; when more than ``depth`` wait, the oldest are dropped."""
         if self._local is not None and key == self.keys.state:
             mailbox = self._kept(Mailbox(None, key, depth, self.refusals, LONGEST_DOCUMENT))
-            self._local.follow_state(mailbox, self._subscribe)
+            self._local.follow_state(mailbox)
         else:
             mailbox = self._mailbox(key, depth, LONGEST_DOCUMENT)
         return Stream(self._query, MessageSource(mailbox, shape_of(self.keys, key)))
@@ -457,11 +459,6 @@ class Client:
 
     def _mailbox(self, key: str, depth: int, longest: int) -> Mailbox:
         return self._kept(Mailbox(self.session, key, depth, self.refusals, longest))
-
-    def _subscribe(self, mailbox: Mailbox) -> None:
-        """Have Zenoh fill a mailbox; from any thread."""
-        with contextlib.suppress(zenoh.ZError):  # the session has just been closed
-            mailbox.subscribe(self.session)
 
     def _kept(self, mailbox: Mailbox) -> Mailbox:
         self._mailboxes = [*(one for one in self._mailboxes if not one.closed), mailbox]

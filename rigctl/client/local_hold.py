@@ -1,4 +1,4 @@
-"""HOLD to a daemon of this computer whose folder this user may believe, without the network."""
+"""HOLD to a daemon of this computer, without the network: any user may, and gives it to the loop itself."""
 
 from __future__ import annotations
 
@@ -9,10 +9,9 @@ import os
 import socket
 from typing import Any
 
-from rigctl.config.address import EVERY_ADDRESS, NETWORK_PROTOCOLS, Address, is_address
+from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
 from rigctl.ipc import hold_socket
-from rigctl.ipc.folder_places import ACTIVE, FORMER_PUBLIC, PUBLIC, FolderPlaces, daemon_pid
-from rigctl.ipc.trusted_folders import trusted_folders
+from rigctl.ipc.folder_places import FolderPlaces
 
 ANSWER_S = 1.5  # the loop answers in the tick that takes it; longer is for a busy computer
 VIA = "local socket"
@@ -20,60 +19,38 @@ FORMER = "hold.sock"
 FORMER_CONNECT_S = 0.5
 FORMER_LATER_S = 1.0  # that service answers within 1.5 s, even when the loop does not reply
 _FORMER_BYTES = 1 << 16
-_USUAL = {"localhost", "127.0.0.1", "::1"}  # names of one computer, which the same daemon is reached at
 
 
-def same_endpoint(connect: str, listen: str) -> bool:
-    """Whether a client that connects to ``connect`` reaches the gateway listening at ``listen`` on this computer."""
-    if connect == listen:
-        return True
-    (protocol, _, to), (listening, _, where) = connect.partition("/"), listen.partition("/")
-    if protocol != listening or protocol not in NETWORK_PROTOCOLS or not (is_address(to) and is_address(where)):
-        return False
-    ours, daemons = Address.parse(to), Address.parse(where)
-    return ours.port == daemons.port and ours.host in _USUAL and daemons.host in _USUAL | EVERY_ADDRESS.keys()
+def held_here(endpoint: str, rig: str | None) -> list[LocalDaemon]:
+    """The daemons of this computer that a HOLD for ``rig``, or for any, at ``endpoint`` goes to.
 
-
-def folder_of(endpoint: str, rig: str | None) -> FolderPlaces | None:
-    """Run-time folder of the daemon of this computer that listens at ``endpoint``, named ``rig`` if given.
-
-    Only a daemon whose folder this user may believe is found (`rigctl.ipc.trusted_folders`).
-
-    None for a daemon elsewhere, so that a HOLD meant for it never reaches another daemon here.
+    A HOLD meant for a daemon elsewhere never reaches another one here. One that this user may believe is the only one;
+    of other users' daemons, where anybody can claim to be the one meant, it goes to each.
     """
-    for folder in trusted_folders():
-        if not daemon_pid(folder):
-            continue
-        with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
-            found = FolderPlaces(folder)
-            if rig not in (None, folder.name.removeprefix("rigctl-")):
-                continue
-            if same_endpoint(endpoint, _listen(found)):
-                return found
-    return None
-
-
-def _listen(folder: FolderPlaces) -> str:
-    """The daemon's endpoint: from its settings, or, for operators of the installed service, from its public file."""
-    with contextlib.suppress(OSError, ValueError):
-        return str(json.loads(folder.sealed(ACTIVE))["settings"]["telemetry"]["listen"])
-    with contextlib.suppress(OSError, ValueError):
-        return str(json.loads(folder.sealed(PUBLIC))["listen"])
-    return str(json.loads(folder.sealed(FORMER_PUBLIC))["listen"])
+    own = [one for one in meant(local_daemons(), endpoint, rig) if one.runs]
+    return own[:1] or [one for one in meant(local_daemons(of_others=True), endpoint, rig) if one.runs]
 
 
 def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER_S) -> dict[str, Any] | None:
-    """Give HOLD on a local socket; returns the answer, or None without one: then give it over the network.
+    """Give HOLD on a local socket; returns the answer, or None where no daemon of this computer is meant.
 
-    A second HOLD does no harm if the first was carried out without an answer. ``answer_s``: limit for the loop's.
+    Of several answers it is one of a loop that does not hold, if there is one. ``answer_s``: limit for the loop's.
     """
-    if (folder := folder_of(endpoint, rig)) is None:
-        return None
+    answers = [_given(one, operator, answer_s) for one in held_here(endpoint, rig)]
+    return min(answers, key=lambda answer: bool(answer["accepted"]), default=None)
+
+
+def _given(daemon: LocalDaemon, operator: str, answer_s: float) -> dict[str, Any]:
     for uid in (os.geteuid(), None):
         with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
-            given = hold_socket.give(folder.place(hold_socket.socket_name(uid)), operator, answer_s)
-            return None if given is None else _worded(given, operator)
-    return _former(folder, operator, answer_s + FORMER_LATER_S)
+            given = hold_socket.give(daemon.place.place(hold_socket.socket_name(uid)), operator, answer_s)
+            return _silent(daemon, operator) if given is None else _worded(given, operator)
+    return _former(daemon.place, operator, answer_s + FORMER_LATER_S) or _silent(daemon, operator)
+
+
+def _silent(daemon: LocalDaemon, operator: str) -> dict[str, Any]:
+    text = f"HOLD: the loop of {daemon.rig} does not answer; the emergency stop needs no program"
+    return {"accepted": False, "verb": "hold", "operator": operator, "reason": "no_answer", "text": text, "via": VIA}
 
 
 def _worded(given: hold_socket.HoldAnswer, operator: str) -> dict[str, Any]:

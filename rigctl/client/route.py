@@ -4,7 +4,7 @@ On the daemon's computer the folder is the root of trust: of a folder that this 
 gateway can have made the socket, and the kernel decides who opens it. Whoever takes the gateway's port, also while it
 is started anew, gets nothing from such a client.
 
-Over TLS certificates say who is who. By ``tcp`` nothing is verified: a client of that reads, and gives HOLD.
+Over TLS certificates say who is who. By ``tcp`` nothing is verified: a client of that reads, and commands nothing.
 """
 
 from __future__ import annotations
@@ -12,63 +12,25 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
-import socket
 import threading
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Callable
 
-import msgspec
-
-from rigctl.client.local_hold import same_endpoint
+from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
 from rigctl.config import layout
-from rigctl.ipc.folder_files import FolderFiles
-from rigctl.ipc.folder_places import COMMAND_SOCKET, GATEWAY_SOCKET
-from rigctl.ipc.trusted_folders import opened, trusted_folders
-from rigctl.wire.public_file import PUBLIC, PublicFile
+from rigctl.ipc.folder_places import COMMAND_SOCKET, GATEWAY_SOCKET, FolderPlaces
+from rigctl.ipc.trusted_folders import opened
 
 SOCKET = "unixsock-stream/"
 _DESCRIPTORS = pathlib.Path("/proc/self/fd")
 _FOLLOW_S = 0.2  # another run of the daemon has another folder
 
 
-class LocalDaemon(NamedTuple):
-    """A daemon of this computer whose run-time folder this user believes."""
-
-    folder: pathlib.Path
-    public: PublicFile
-
-
-def local_daemons() -> Iterator[LocalDaemon]:
-    """The daemons of this computer that this user may believe."""
-    for folder in trusted_folders():
-        with contextlib.suppress(OSError, msgspec.MsgspecError):
-            yield LocalDaemon(folder, msgspec.convert(FolderFiles(folder).read_json(PUBLIC), PublicFile))
-
-
 def _chosen(endpoint: str, rig: str | None) -> LocalDaemon | None:
     """The daemon at an endpoint, of this name if it can be: itself, or one that joins the router there."""
-    daemons = list(local_daemons())
-    here = [one for one in daemons if same_endpoint(endpoint, one.public.listen)]
-    named = [one for one in here if rig in (None, one.public.rig)]
-    joining = [
-        one for one in daemons
-        if one.public.rig == rig and any(same_endpoint(endpoint, joined) for joined in one.public.join)
-    ]  # fmt: skip
-    found = named or joining or here
+    daemons = local_daemons()
+    found = meant(daemons, endpoint, rig) or meant(daemons, endpoint, None)
     # Of several at one endpoint, all but one are left over from a daemon that was killed.
-    alive = [one for one in found if _answers(one.folder)] if len(found) > 1 else []
-    return next(iter(alive or found), None)
-
-
-def _socket_in(folder: pathlib.Path, *, shared: bool) -> pathlib.Path:
-    return FolderFiles(folder, shared=shared).place(GATEWAY_SOCKET)
-
-
-def _answers(folder: pathlib.Path) -> bool:
-    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as tried:
-        tried.connect(str(_socket_in(folder, shared=folder.parent == layout.RUN)))
-        return True
-    return False
+    return next((one for one in found if one.runs), found[0] if found else None)
 
 
 class Route:
@@ -81,41 +43,39 @@ class Route:
         self.rig = ""
         """Rig whose own socket it is; empty without one."""
         self._certified, self._closed_to_us = certified, ""
-        self._folder: LocalDaemon | None = None
+        self._folder: pathlib.Path | None = None
         self._fd = -1
         if not certified and (found := _chosen(endpoint, rig)) is not None:
             self._enter(found)
 
     def _enter(self, daemon: LocalDaemon) -> None:
-        if (fd := opened(daemon.folder)) is None:
+        found = daemon.place
+        if (fd := opened(found.directory)) is None:
             return
-        shared = daemon.folder.parent == layout.RUN
-        place = _socket_in(_DESCRIPTORS / str(fd), shared=shared)
+        place = FolderPlaces(_DESCRIPTORS / str(fd), shared=found.is_shared).place(GATEWAY_SOCKET)
         # While the gateway is started anew there is none: the client then waits for it, and takes no other way.
         if os.path.lexists(place) and not os.access(place, os.W_OK):
             os.close(fd)
-            self._closed_to_us = str(_socket_in(daemon.folder, shared=shared))
+            self._closed_to_us = str(found.place(GATEWAY_SOCKET))
             return
-        self._fd, self._folder, self.rig, self.endpoint = fd, daemon, daemon.public.rig, f"{SOCKET}{place}"
+        self._fd, self._folder, self.rig, self.endpoint = fd, found.directory, daemon.rig, f"{SOCKET}{place}"
 
     @property
     def is_local(self) -> bool:
         """Whether it is a socket of this computer."""
         return self.endpoint.startswith(SOCKET)
 
-    def commands(self, rig: str) -> bool:
-        """Whether commands of this rig other than HOLD are taken this way; then its answers are verified too."""
-        return self._certified or (self.is_local and self.rig in ("", rig))
+    def _is_own(self, rig: str) -> bool:
+        return self.is_local and self.rig in ("", rig)
 
     def command_socket(self, rig: str) -> pathlib.Path | None:
         """Where commands of this rig, and its state, go past Zenoh: beside the gateway's socket; None elsewhere."""
-        if self._certified or not self.is_local or not self.commands(rig):
-            return None
-        return pathlib.Path(self.endpoint.removeprefix(SOCKET)).with_name(COMMAND_SOCKET)
+        place = pathlib.Path(self.endpoint.removeprefix(SOCKET)).with_name(COMMAND_SOCKET)
+        return place if self._is_own(rig) and os.path.lexists(place) else None
 
     def words(self, rig: str) -> str:
         """Why nothing of this rig is verified and commands are not taken, in one line; empty if all is well."""
-        if self.commands(rig):
+        if self._certified or self._is_own(rig):
             return ""
         if self._closed_to_us:
             why = f"this user may not open {self._closed_to_us}"
@@ -123,7 +83,7 @@ class Route:
             why = f"{self.rig} relays it"
         else:
             why = f"this user finds no daemon of it here (expected in {layout.RUN} or {layout.SHARED_MEMORY})"
-        return f"{rig} at {self.given} is not verified, and takes no command but HOLD from here: {why}"
+        return f"{rig} at {self.given} is not verified, and takes no command from here: {why}"
 
     def follow(self, end: threading.Event) -> None:
         """Have the session find the folder of the daemon's next run, until ``end``. Only for a route with a folder."""
@@ -133,9 +93,9 @@ class Route:
     def _follow(self) -> None:
         assert self._folder is not None
         with contextlib.suppress(OSError):
-            if os.path.samestat(self._folder.folder.lstat(), os.fstat(self._fd)):
+            if os.path.samestat(self._folder.lstat(), os.fstat(self._fd)):
                 return
-            if (new := opened(self._folder.folder)) is not None:
+            if (new := opened(self._folder)) is not None:
                 os.dup2(new, self._fd, inheritable=False)  # the session connects by the path of this descriptor
                 os.close(new)
 

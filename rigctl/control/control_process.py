@@ -70,7 +70,7 @@ def open_bus(settings: RigSettings) -> can.BusABC:
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
     """Run every path of the tick on a bus of its own, so that no real tick is the first to execute its code."""
     runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
-    runtime.directory.mkdir()
+    runtime.directory.mkdir(mode=0o700)
     try:
         runtime.make_rings(settings)
         bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")

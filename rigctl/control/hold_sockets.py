@@ -16,6 +16,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pwd
+import resource
 import select
 import socket
 import struct
@@ -85,8 +86,7 @@ class HoldSockets:
         self._unanswered: dict[int, tuple[socket.socket, bytes]] = {}  # by the time of the tick that has taken it
         for path in runtime.directory.glob(f"{HOLD_SOCKETS}*"):
             path.unlink()
-        apart = _users() if runtime.is_shared else []  # only its owner enters another folder
-        own = os.geteuid()
+        apart, own = _users(), os.geteuid()
         self._open(runtime, own, None)
         try:
             for uid in apart:
@@ -95,8 +95,7 @@ class HoldSockets:
         except OSError:  # a file system without access lists: all others share a socket
             runtime.place(socket_name(uid)).unlink(missing_ok=True)
             apart = []
-        if runtime.is_shared:
-            self._open(runtime, None, _access_list(dict.fromkeys(apart, 0), _READ_WRITE) if apart else None)
+        self._open(runtime, None, _access_list(dict.fromkeys(apart, 0), _READ_WRITE) if apart else None)
 
     def _open(self, runtime: Runtime, uid: int | None, access_list: bytes | None) -> None:
         place = runtime.place(socket_name(uid))
@@ -158,7 +157,8 @@ class HoldSockets:
 def _users() -> list[int]:
     """The users of this computer, at most ``USERS_MAX``: root and persons before the accounts of services."""
     found = {entry.pw_uid for entry in pwd.getpwall()}
-    return sorted(found, key=lambda uid: (0 < uid < 1000, uid))[:USERS_MAX]
+    descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return sorted(found, key=lambda uid: (0 < uid < 1000, uid))[: min(USERS_MAX, descriptors // 4)]
 
 
 def _access_list(users: dict[int, int], others: int) -> bytes:

@@ -14,7 +14,7 @@ from rigctl.wire.session import MESSAGE_BYTES
 
 
 def take_queries(session: zenoh.Session, keys: Keys, server: CommandServer) -> None:
-    """Take the commands of ``keys`` from ``session``: those of the rig's own socket, and those of persons."""
+    """Take the commands of persons with certificates from ``session``."""
 
     def take(query: zenoh.Query) -> None:
         key, reply = str(query.key_expr), partial(answer_command, query)
@@ -30,5 +30,4 @@ def take_queries(session: zenoh.Session, keys: Keys, server: CommandServer) -> N
             return
         server.take(name, bytes(payload) if payload is not None else None, giver, reply)
 
-    for person in {"", keys.person}:
-        session.declare_queryable(keys._replace(person=person).command("*"), take)
+    session.declare_queryable(keys.command("*"), take)

@@ -31,7 +31,7 @@ from rigctl.gateway.admission import Admission
 from rigctl.gateway.answers import refuse
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_queries import take_queries
-from rigctl.gateway.command_server import CommandServer
+from rigctl.gateway.command_server import CommandServer, Giver, Reply
 from rigctl.gateway.command_socket import CommandSocket
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
@@ -53,7 +53,7 @@ from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import Note, RequestLog
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import RECORDED, FolderError, Runtime
+from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
@@ -241,11 +241,13 @@ class Gateway:
         self._active, self._active_sent = ActiveConfiguration(runtime), b""
         run_id, telemetry = str(self._active.written.get("run_id", "")), settings.telemetry
         socket = f"unixsock-stream/{runtime.gateway_socket}"
+        # Before the router: a client that finds that one without this socket knows a daemon of a version before.
+        self._socket = CommandSocket(runtime, self._take, lambda: self._view.newest)
         refuse_duplicate_name(keys, telemetry.join)
         self._session = self._admission.open_router(socket)
         runtime.let_operators_connect()
         public = PublicFile(settings.rig, telemetry.listen, run_id, telemetry.join)
-        runtime.write_json(PUBLIC, public, runtime.public_mode)
+        runtime.write_json(PUBLIC, public, PUBLIC_MODE)
         self._places = self._admission.places(self._session, socket)
         # Commands have a session of their own, so that congestion of the data cannot delay them.
         self._command_session = open_client(socket, zid=self._admission.own_zid)
@@ -286,13 +288,16 @@ class Gateway:
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
         stream = self._cursor.stream
-        self._socket = CommandSocket(runtime, self._commands.take, lambda: view.newest)
         self._commands.open()
         self._socket.open()
-        take_queries(self._command_session, keys, self._commands)
+        if keys.person:  # who it is, certificates say
+            take_queries(self._command_session, keys, self._commands)
         _declare_queryables(self._session, keys, runtime, self._view, self._active, stream)
         # On the session of the commands, after them: a client that sees the token finds every command.
         self._token = self._command_session.liveliness().declare_token(keys.daemon)
+
+    def _take(self, name: str, payload: bytes | None, giver: Giver, reply: Reply) -> None:
+        self._commands.take(name, payload, giver, reply)
 
     def publish(self) -> None:
         """Publish what one period brought.

@@ -19,7 +19,7 @@ import msgspec
 
 from rigctl.config.built_type import built
 from rigctl.ipc.progress import Progress
-from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime, daemon_pid
+from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, FolderError, Runtime, daemon_pid
 from rigctl.ipc.service_manager import Watchdog
 from rigctl.ipc.termination import Termination
 
@@ -55,7 +55,7 @@ class Joined:
         """
         progress = Progress(self.runtime, self._name)
         shown = Presence(os.getpid(), str(self.runtime.known(ACTIVE).get("run_id", "")))
-        self.runtime.write_json(presence_file(self._name), shown, self.runtime.public_mode)
+        self.runtime.write_json(presence_file(self._name), shown, PUBLIC_MODE)
         return progress
 
 

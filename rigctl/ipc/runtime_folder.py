@@ -8,14 +8,15 @@ place of the design in ``active.json``), ``stroke.json`` (the last known stroke 
 ``lease.json`` (holder of the lease), ``gateway.*`` and ``command.sock`` (the gateway's own), ``lock`` (held by the
 supervisor, with its pid in it), ``end.*`` (a process that is a service of its own is to end).
 
-Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns and that is closed
-to others (0700), follows no link in it, and makes its files anew (0600). Its processes open every file relative to a
-descriptor of the folder that each of them has checked (`Runtime.entered`).
+Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns, follows no link
+in it, and makes its files anew (0600). Others may enter it but neither list nor write to it (0711): they find the
+daemon by ``public.json`` and ``lock``, and give it HOLD. Its processes open every file relative to a descriptor of the
+folder that each of them has checked (`Runtime.entered`).
 
-The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder may
-be entered but not listed (0751), its group reads rings and files (0640), everyone reads ``public.json``, the group
-``rigctl-operator`` opens ``gateway.sock`` and ``command.sock``, and what another process than supervisor and loop
-writes is in a folder or of a group of its own (`rigctl.ipc.writers`).
+The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder's
+group lists it (0751) and reads rings and files (0640), the group ``rigctl-operator`` opens ``gateway.sock`` and
+``command.sock``, and what another process than supervisor and loop writes is in a folder or of a group of its own
+(`rigctl.ipc.writers`).
 
 What reads only the small files uses `rigctl.ipc.folder_files`, which loads no numpy.
 """
@@ -48,6 +49,7 @@ __all__ = [
     "ACTIVE",
     "BASE",
     "DESIGN",
+    "PUBLIC_MODE",
     "RECORDED",
     "REFUSED",
     "AlreadyRunningError",
@@ -63,6 +65,8 @@ __all__ = [
 
 BASE = layout.SHARED_MEMORY
 """Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
+PUBLIC_MODE = 0o644
+"""Mode of a file that everyone who may enter the folder may read."""
 _SMALL_RING = 4096
 _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
@@ -224,24 +228,18 @@ class Runtime(FolderFiles):
 
     @property
     def _folder_mode(self) -> int:
-        return 0o751 if self._shared else 0o700
+        return 0o751 if self._shared else 0o711
 
     @property
     def file_mode(self) -> int:
         """Mode of rings and files."""
         return 0o640 if self._shared else 0o600
 
-    @property
-    def public_mode(self) -> int:
-        """Mode of a file that everyone who may enter the folder may read."""
-        return 0o644 if self._shared else 0o600
-
     def _open_own(self) -> int:
         """The folder's descriptor; a folder that another user could write to is refused."""
         try:
             with contextlib.suppress(FileExistsError):
                 self.directory.mkdir(mode=0o700)
-                self.directory.chmod(self._folder_mode)
             found = self.directory.lstat()
         except OSError as error:
             raise FolderError(f"{self.directory}: the runtime folder cannot be made: {error.strerror}") from None
@@ -262,6 +260,7 @@ class Runtime(FolderFiles):
         if not os.path.samestat(found, os.fstat(fd)):
             os.close(fd)
             raise FolderError(f"{self.directory}: it was replaced while the daemon started; start it again")
+        os.fchmod(fd, self._folder_mode)
         return fd
 
     def _open_lock(self, folder: int) -> int:
@@ -270,7 +269,7 @@ class Runtime(FolderFiles):
             if not stat.S_ISREG(os.stat(LOCK, dir_fd=folder, follow_symlinks=False).st_mode):
                 self._clear(folder, LOCK)
         fd = os.open(LOCK, flags, 0o600, dir_fd=folder)
-        os.fchmod(fd, self.public_mode)  # clients and services find the daemon by the process number in it
+        os.fchmod(fd, PUBLIC_MODE)  # clients and services find the daemon by the process number in it
         return fd
 
     def _sweep(self, folder: int) -> None:

@@ -16,15 +16,20 @@ from collections.abc import Iterator
 from rigctl.config import layout
 
 
-def trusted_folders() -> Iterator[pathlib.Path]:
-    """Every run-time folder that this user may believe and enter, in the order of their names."""
+def entered_folders(*, of_others: bool = False) -> Iterator[tuple[pathlib.Path, int]]:
+    """Every run-time folder that this user may believe and enter, in the order of their names, and its owner.
+
+    ``of_others``: those that he may enter without believing them. Nobody but the owner writes to these either.
+    """
     for base in (layout.RUN, layout.SHARED_MEMORY):
         with contextlib.suppress(OSError):
             owners = _owners(base)
             for folder in sorted(base.glob("rigctl-*")):
                 with contextlib.suppress(OSError):
-                    if _is_trusted(folder.lstat(), owners) and os.access(folder, os.X_OK):
-                        yield folder
+                    found = folder.lstat()
+                    wanted = {found.st_uid} - owners if of_others else owners
+                    if _is_trusted(found, wanted) and os.access(folder, os.X_OK):
+                        yield folder, found.st_uid
 
 
 def opened(folder: pathlib.Path) -> int | None:

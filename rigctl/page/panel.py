@@ -116,7 +116,7 @@ def _hold_words(picture: Picture, state: dict[str, Any]) -> str:
     """Whether HOLD still works, for a display without fresh data."""
     if not picture.is_silent:
         return _HOLD_STOPPED if not state.get("loop_alive") else ""
-    return _HOLD_LOCAL if local_hold.folder_of(picture.endpoint, state.get("rig")) is not None else _HOLD_FAR
+    return _HOLD_LOCAL if local_hold.held_here(picture.endpoint, state.get("rig")) else _HOLD_FAR
 
 
 def settings_message(active: dict[str, Any]) -> dict[str, Any]:

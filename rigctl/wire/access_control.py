@@ -3,8 +3,8 @@
 The gateway's router looks at every message from a link (ingress) and to it (egress). It knows a link's protocol and a
 certificate's common name, and gives a queryable no name of who asks.
 
-- The Unix socket in the run-time folder: the kernel decides who opens it, and who does may read and command.
-- ``tcp``: reads, and gives HOLD. Nothing is known of who is there.
+- The Unix socket in the run-time folder, and ``tcp``: reads. Commands of this computer have a socket of their own, and
+  so has HOLD (`rigctl.gateway.command_socket`, `rigctl.control.hold_sockets`).
 - ``tls``: the commands of a person have keys with the person's name, and the rules let only that person's certificates
   use them.
 
@@ -40,7 +40,6 @@ _ANY_RIG = "*"
 # Without undeclarations and ends of queries: Zenoh lets those pass, or judges them as what they end.
 _LIVENESS = ("liveliness_query", "declare_liveliness_subscriber")
 _STATING = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
-_HOLD = Verb.HOLD.name.lower()
 
 
 def commands_of(role: Role) -> list[str]:
@@ -86,12 +85,8 @@ def _person(rules: _Rules, subject: str, keys: Keys, role: Role) -> None:
     """Reading, and commands under the person's own name."""
     _reader(rules, subject, keys.rig)
     if commands := [keys.command(name) for name in commands_of(role)]:
-        _commands(rules, subject, commands)
-
-
-def _commands(rules: _Rules, subject: str, keys: list[str]) -> None:
-    rules.add(subject, "ingress", ["query"], keys)
-    rules.add(subject, "egress", ["reply"], keys)
+        rules.add(subject, "ingress", ["query"], commands)
+        rules.add(subject, "egress", ["reply"], commands)
 
 
 def _joined(rules: _Rules, subject: str, rig: str) -> None:
@@ -99,18 +94,18 @@ def _joined(rules: _Rules, subject: str, rig: str) -> None:
 
     No query of this rig's keys goes there, whatever is declared with wildcards.
     """
-    relayed = [*_on(_ANY_RIG, READ_TAILS), *_on(_ANY_RIG, [LIVE_TAIL, "cmd/*"])]
+    relayed = _on(_ANY_RIG, [*READ_TAILS, LIVE_TAIL])
     own = _on(rig, ["**"])
     for flow in ("ingress", "egress"):
         rules.add(subject, flow, [*_STATING, "declare_subscriber", *_LIVENESS], relayed)
-        rules.add(subject, flow, ["query"], [*_on(_ANY_RIG, READ_TAILS), Keys(_ANY_RIG).command(_HOLD)])
+        rules.add(subject, flow, ["query"], _on(_ANY_RIG, READ_TAILS))
     rules.add(subject, "ingress", _STATING, own, "deny")
     rules.add(subject, "egress", ["query"], own, "deny")
 
 
 def _own_commands(rules: _Rules, subject: str, keys: Keys) -> None:
-    """The gateway's session for commands, on its socket in the run-time folder."""
-    commands, live = [Keys(keys.rig).command("*"), keys.command("*")], _on(keys.rig, [LIVE_TAIL])
+    """The gateway's session for commands over TLS, on its socket in the run-time folder."""
+    commands, live = [keys.command("*")], _on(keys.rig, [LIVE_TAIL])
     rules.add(subject, "ingress", ["declare_queryable", "reply"], commands)
     rules.add(subject, "ingress", ["liveliness_token", *_LIVENESS], live)
     rules.add(subject, "egress", ["query", "declare_queryable"], commands)
@@ -141,13 +136,10 @@ def access_control(
     ``certificates``: every one issued, judged at ``now``; those revoked or expired get no rule, so that all their
     messages are refused. ``joins``: this router joins others.
     """
-    rules, read = _Rules(), _ANY_RIG if joins else rig
+    rules = _Rules()
     _own_commands(rules, "own commands", Keys(rig, "*"))
-    _reader(rules, "this computer", read)
-    _commands(rules, "this computer", [Keys(rig).command("*")])  # what is no command is refused in words
-    _reader(rules, "without a name", read)
     for subject in ("this computer", "without a name"):
-        _commands(rules, subject, [Keys(read).command(_HOLD)])
+        _reader(rules, subject, _ANY_RIG if joins else rig)
     if joins:
         _joined(rules, "without a name", rig)
     _anyone(rules, "anyone")

@@ -146,7 +146,8 @@ def measure(rig: Subject, kind: str, count: int, pause_s: float) -> dict[str, An
     with contextlib.ExitStack() as stack:
         network = None
         with contextlib.suppress(NoDaemonError, ChoiceError):
-            network = stack.enter_context(Client(rig.endpoint, rig.rig, key=rig.key))
+            if rig.key is not None:  # without one there is no HOLD over the network
+                network = stack.enter_context(Client(rig.endpoint, rig.rig, key=rig.key))
         child = None
         if kind == HUNG:
             network = None

@@ -19,6 +19,7 @@ from typing import IO, Any
 from rigctl.client import Rig, connect
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config import rig_file as config
+from rigctl.ipc.folder_places import LOCK
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
@@ -61,6 +62,8 @@ class Daemon:
 
     def __init__(self, rig: str = "paper_rig", port: int | None = None, join: Sequence[str] = ()) -> None:
         self.runtime = Runtime(tempfile.mkdtemp(prefix="rigctl-test-", dir="/dev/shm"))
+        self.runtime.directory.chmod(0o711)
+        self.runtime.place(LOCK).write_text(str(os.getpid()))
         self.endpoint = f"tcp/127.0.0.1:{port or free_port()}"
         settings = config.load(ROOT / "config" / "paper_rig.yaml")
         telemetry = settings.telemetry.model_copy(update={"listen": self.endpoint, "join": list(join)})

@@ -16,6 +16,7 @@ from typing import Any
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
+from rigctl.control.hold_sockets import HoldSockets
 from rigctl.control.modes import (
     TRANSITIONS,
     Decision,
@@ -30,6 +31,7 @@ from rigctl.control.modes import (
     next_mode,
 )
 from rigctl.control.safety import Action
+from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import RECORD, REPLY, Flag
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -44,6 +46,7 @@ class StandIn:
     def __init__(self, runtime: Runtime) -> None:
         self.records, self.events = runtime.records.writer(), runtime.events.writer()
         self.replies, self.commands = runtime.replies.writer(), runtime.commands.reader()
+        self.holds = HoldSockets(runtime)
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
         self.own, self.host = 0, int(Check.HOST)
@@ -102,7 +105,17 @@ class StandIn:
             self.event(now, Kind.TRIP, self.fault, Action.HOLD, 412.0, 400.0)
             self.move(now, Event.TRIP)
 
+    def hold(self, now: int) -> None:
+        decision = decide(self.mode, Verb.HOLD, Situation(self.failed, armed=self.mode is not Mode.DISARMED))
+        if decision.event is not None and (self.mode, decision.event) in TRANSITIONS:
+            self.move(now, decision.event)
+        done, mode = decision.refusal is Refusal.NONE, self.mode.name
+        answer = HoldAnswer(now, done, decision.refusal, 0, self.fault, self.stroke, self.tension, mode)
+        self.holds.answer(now, answer)
+
     def tick(self, now: int, tick: int, late: int) -> None:
+        if self.holds.take(now) is not None:
+            self.hold(now)
         for command in self.commands.read():
             self.take(now, command)
         if self.arming and now >= self.arming[1]:

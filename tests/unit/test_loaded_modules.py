@@ -46,10 +46,11 @@ SHARED = {
 OWN_OF_HOLD = {
     "rigctl", "rigctl.cli", "rigctl.cli.app", "rigctl.cli.descriptors", "rigctl.cli.entry", "rigctl.cli.operator_name",
     "rigctl.cli.quick_hold", "rigctl.ipc.standard_output",
-    "rigctl.client", "rigctl.client.endpoint", "rigctl.client.local_hold", "rigctl.config", "rigctl.config.address",
-    "rigctl.config.extras", "rigctl.config.input_file", "rigctl.config.layout", "rigctl.config.one_line",
-    "rigctl.ipc", "rigctl.ipc.folder_places", "rigctl.ipc.hold_socket", "rigctl.ipc.termination",
-    "rigctl.ipc.trusted_folders", "rigctl.ipc.writers", "rigctl.wire", "rigctl.wire.keys",
+    "rigctl.client", "rigctl.client.endpoint", "rigctl.client.local_daemons", "rigctl.client.local_hold",
+    "rigctl.config", "rigctl.config.address", "rigctl.config.extras", "rigctl.config.input_file",
+    "rigctl.config.layout", "rigctl.config.one_line", "rigctl.ipc", "rigctl.ipc.folder_places",
+    "rigctl.ipc.hold_socket", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders", "rigctl.ipc.writers",
+    "rigctl.wire", "rigctl.wire.keys",
 }  # fmt: skip
 
 
@@ -75,7 +76,7 @@ def held() -> Iterator[str]:
     folder.mkdir(mode=0o700)
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     files = Runtime(folder)
-    files.write_json(ACTIVE, {"settings": {"telemetry": {"listen": endpoint}}})
+    files.write_json(ACTIVE, {"settings": {"rig": "test", "telemetry": {"listen": endpoint}}})
     (folder / "lock").write_text(f"{os.getpid()}\n")
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     listener.settimeout(patience_s())

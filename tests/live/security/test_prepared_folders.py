@@ -17,8 +17,8 @@ from rigctl.config import rig_file as config
 from rigctl.control.modes import Verb, command_slot
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.ipc import output_file, runtime_folder, writers
-from rigctl.ipc.runtime_folder import BASE, FolderError, Runtime
-from rigctl.ipc.trusted_folders import trusted_folders
+from rigctl.ipc.runtime_folder import BASE, PUBLIC_MODE, FolderError, Runtime
+from rigctl.ipc.trusted_folders import entered_folders
 from rigctl.recorder.audit_log import AuditLog
 from rigctl.wire.public_file import PUBLIC
 from tests.builders.daemons import name_of, rig_file
@@ -63,7 +63,7 @@ def test_a_prepared_folder_is_refused_and_no_file_behind_its_links_is_touched(
     )  # fmt: skip
     assert done.returncode == 1
     assert done.stderr.count("\n") == 1
-    assert f"{folder}: found a folder of user {NOBODY}, expected a folder of user 0 with mode 0700" in done.stderr
+    assert f"{folder}: found a folder of user {NOBODY}, expected a folder of user 0 with mode 0711" in done.stderr
     assert [victim.read_text() for victim in victims] == ["root's"] * len(victims)
     assert sorted(path.name for path in folder.iterdir()) == sorted(VICTIMS)
 
@@ -121,7 +121,8 @@ def test_another_users_folder_is_no_root_of_trust(tmp_path: pathlib.Path, monkey
     os.chown(his, NOBODY, NOBODY)
     open_to_all.chmod(0o777)
     (tmp_path / "rigctl-link").symlink_to(mine)
-    assert list(trusted_folders()) == [mine]
+    assert list(entered_folders()) == [(mine, 0)]
+    assert list(entered_folders(of_others=True)) == [(his, NOBODY)]
 
 
 def test_a_link_in_place_of_an_output_file_or_log_is_not_followed(tmp_path: pathlib.Path) -> None:
@@ -160,7 +161,7 @@ def test_the_services_folder_lets_its_group_read_and_everyone_find_the_rig(
     service: Runtime, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     service.write_json("active.json", {"pid": 1})
-    service.write_json(PUBLIC, {"rig": "paper_rig"}, service.public_mode)
+    service.write_json(PUBLIC, {"rig": "paper_rig"}, PUBLIC_MODE)
     service.write_json(IN_FORCE, {"id": "secret"}, 0o600)
     monkeypatch.chdir(service.gateway_socket.parent)  # its path may be too long for a socket
     with socket.socket(socket.AF_UNIX) as listening:

@@ -1,4 +1,4 @@
-"""What the gateway's liveliness token promises: whoever sees it can give a command."""
+"""What the gateway's liveliness token promises: who has a certificate and sees it can give a command."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ import zenoh
 
 from rigctl.client.liveliness import Liveliness
 from rigctl.gateway import gateway_process
+from rigctl.identity import credentials
+from rigctl.identity.credentials import Credentials
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
-from tests.builders.miniature import Daemon
+from tests.builders.certified import CertifiedDaemon, certified
 from tests.builders.waiting import patience_s, until
 
 DELAY_S = 0.3
@@ -49,10 +51,15 @@ def slow_relay(path: pathlib.Path, target: pathlib.Path) -> Iterator[None]:
         yield
 
 
-def connected(endpoint: str) -> zenoh.Session:
+@pytest.fixture
+def own() -> Iterator[CertifiedDaemon]:
+    yield from certified()
+
+
+def connected(endpoint: str, owned: Credentials) -> zenoh.Session:
     def attempt() -> zenoh.Session | None:
         with contextlib.suppress(SessionError):
-            return open_client(endpoint)
+            return open_client(endpoint, owned)
         return None
 
     session: zenoh.Session = until(attempt, "the gateway's listener")
@@ -60,14 +67,14 @@ def connected(endpoint: str) -> zenoh.Session:
 
 
 def test_whoever_sees_the_token_can_give_a_command_however_slow_the_session_of_the_commands(
-    own: Daemon, monkeypatch: pytest.MonkeyPatch
+    own: CertifiedDaemon, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     own.kill_gateway()
-    keys, slow = Keys(own.settings.rig), own.runtime.directory / "slow"
+    keys, slow = Keys(own.settings.rig, "kim"), own.runtime.directory / "slow"
     answers: list[bool] = []
 
     def take_lease() -> None:
-        session = connected(f"unixsock-stream/{own.runtime.gateway_socket}")
+        session = connected(own.endpoint, credentials.read(own.key("kim")))
         alive = Liveliness(session, keys.daemon)
         if alive.wait(True, patience_s()):
             key, body = keys.command("lease_take"), b'{"operator":"kim"}'

@@ -42,7 +42,7 @@ def two() -> Iterator[tuple[Daemon, Daemon]]:
 def way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Where clients find the rigs: by their folders, or as from another computer."""
     if "routers" in request.param:
-        monkeypatch.setattr(route, "local_daemons", lambda: iter(()))
+        monkeypatch.setattr(route, "local_daemons", list)
 
 
 def _rigs(daemon: Daemon) -> list[str]:

@@ -13,6 +13,7 @@ import msgspec
 import pytest
 
 from rigctl.client import local_hold
+from rigctl.client.local_daemons import local_daemons, same_endpoint
 from rigctl.config import layout
 from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import HoldSockets
@@ -20,7 +21,7 @@ from rigctl.control.modes import Refusal
 from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, Runtime
 from tests.builders.waiting import patience_s, until
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -32,7 +33,7 @@ def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     monkeypatch.setattr(layout, "SHARED_MEMORY", tmp_path)
     found = Runtime.of("paper_rig")
     found.claim()
-    found.write_json(ACTIVE, {"settings": {"telemetry": {"listen": ENDPOINT}}})
+    found.write_json(ACTIVE, {"settings": {"rig": "paper_rig", "telemetry": {"listen": ENDPOINT}}})
     return found
 
 
@@ -40,10 +41,10 @@ def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
 def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runtime: Runtime, name: str) -> None:
     """An operator of the installed service, of this version or the one before."""
     runtime.place(ACTIVE).unlink()
-    assert local_hold.folder_of(ENDPOINT, None) is None
+    assert local_hold.held_here(ENDPOINT, None) == []
     runtime.write_json(name, {"rig": "paper_rig", "listen": ENDPOINT})
-    assert (found := local_hold.folder_of(ENDPOINT, None)) is not None
-    assert found.directory == runtime.directory
+    (found,) = local_hold.held_here(ENDPOINT, None)
+    assert found.place.directory == runtime.directory
 
 
 @contextlib.contextmanager
@@ -114,22 +115,22 @@ def test_the_loops_refusal_is_the_answer(runtime: Runtime) -> None:
     assert answer["text"] == "HOLD refused: hold is not possible in DISARMED: arm first"
 
 
-def test_a_loop_that_does_not_answer_leaves_the_network(runtime: Runtime) -> None:
+def silent() -> bool:
+    answer = local_hold.hold(ENDPOINT, None, "kim", 0.2)
+    return answer is not None and (answer["accepted"], answer["reason"]) == (False, "no_answer")
+
+
+def test_a_loop_that_does_not_answer_is_no_other_ways_matter(runtime: Runtime) -> None:
     with loop(runtime, None) as taken:
-        assert local_hold.hold(ENDPOINT, None, "kim", 0.2) is None
+        assert silent()
         until(lambda: taken)
     assert taken == ["kim"]
-
-
-def test_sockets_of_a_loop_that_has_ended_leave_the_network(runtime: Runtime) -> None:
-    HoldSockets(runtime).close()
-    assert local_hold.hold(ENDPOINT, None, "kim") is None
+    assert silent()  # it has ended
 
 
 @pytest.mark.usefixtures("runtime")
-def test_without_a_socket_the_answer_is_none() -> None:
-    assert local_hold.folder_of(ENDPOINT, None) is not None
-    assert local_hold.hold(ENDPOINT, None, "kim") is None
+def test_without_a_socket_the_loop_does_not_answer() -> None:
+    assert silent()
 
 
 def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Runtime) -> None:
@@ -154,24 +155,45 @@ def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Run
     ],
 )
 def test_only_the_daemon_at_the_endpoint_asked_for_is_meant(asked: str, listen: str, same: bool) -> None:
-    assert local_hold.same_endpoint(asked, listen) is same
+    assert same_endpoint(asked, listen) is same
 
 
 def test_the_folder_is_found_by_endpoint_rig_and_owner(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:
-    def found(endpoint: str, rig: str | None) -> pathlib.Path | None:
-        folder = local_hold.folder_of(endpoint, rig)
-        return folder.directory if folder is not None else None
+    def found(endpoint: str, rig: str | None) -> list[pathlib.Path]:
+        return [one.place.directory for one in local_hold.held_here(endpoint, rig)]
 
-    assert found(ENDPOINT, None) == runtime.directory
-    assert found(ENDPOINT, "paper_rig") == runtime.directory
-    assert found(ENDPOINT, "north_rig") is None
-    assert found("tcp/10.0.0.1:7447", None) is None
+    assert found(ENDPOINT, None) == found(ENDPOINT, "paper_rig") == [runtime.directory]
+    assert found(ENDPOINT, "north_rig") == found("tcp/10.0.0.1:7447", None) == []
+    joined = {"rig": "paper_rig", "telemetry": {"listen": ENDPOINT, "join": ["tcp/10.0.0.1:7447"]}}
+    runtime.write_json(ACTIVE, {"settings": joined})
+    assert found("tcp/10.0.0.1:7447", "paper_rig") == [runtime.directory]
+    assert local_daemons()
     mine = os.geteuid()
     monkeypatch.setattr(os, "geteuid", lambda: mine + 1)
-    assert found(ENDPOINT, None) is None
+    assert found(ENDPOINT, None) == [runtime.directory]  # another user's, to which anybody gives HOLD
+    assert local_daemons() == []
+    runtime.directory.chmod(0o777)
+    assert found(ENDPOINT, None) == []
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root to make another user's folder")
+def test_of_other_users_daemons_every_one_that_is_meant_gets_the_hold(runtime: Runtime) -> None:
+    """Anybody can make a folder that claims to be the one meant."""
+    his = Runtime(runtime.directory.with_name("rigctl-a_false_one"))
+    his.directory.mkdir(mode=0o711)
+    his.write_json(PUBLIC, {"rig": "paper_rig", "listen": ENDPOINT}, PUBLIC_MODE)
+    (his.directory / "lock").write_text(str(os.getpid()))
+    answer = HoldAnswer(88, True, 0, 0, 0, 52.3, 300.04, "HOLD")
+    with loop(runtime, answer) as taken, loop(his, answer) as stolen:
+        for one, owner in ((runtime, 65533), (his, 65534)):
+            os.chown(one.directory, owner, owner)
+        found = local_hold.hold(ENDPOINT, "paper_rig", "kim", patience_s())
+    assert found is not None
+    assert found["accepted"]
+    assert taken == stolen == ["kim"]
 
 
 @pytest.mark.parametrize("active", [b"", b"[" * 100_000, b"7", b'{"settings": 7}', b'{"settings": {"telemetry": []}}'])
-def test_a_folder_that_cannot_be_read_leaves_the_network(runtime: Runtime, active: bytes) -> None:
+def test_a_folder_that_cannot_be_read_is_nobodys(runtime: Runtime, active: bytes) -> None:
     (runtime.directory / ACTIVE).write_bytes(active)
-    assert local_hold.folder_of(ENDPOINT, None) is None
+    assert local_hold.held_here(ENDPOINT, None) == []

@@ -31,8 +31,9 @@ def made(base: pathlib.Path, rig: str, listen: str = ENDPOINT, *join: str, socke
     folder.mkdir(mode=0o700)
     Runtime(folder).write_json(PUBLIC, PublicFile(rig, listen, "run", list(join)))
     if sockets:
-        with socket.socket(socket.AF_UNIX) as one:
-            one.bind(str(folder / "gateway.sock"))
+        for name in ("gateway.sock", "command.sock"):
+            with socket.socket(socket.AF_UNIX) as one:
+                one.bind(str(folder / name))
     return folder
 
 
@@ -46,7 +47,6 @@ def test_the_socket_of_the_rig_that_listens_there_is_taken(base: pathlib.Path) -
     for rig in (None, "one"):
         route = Route("tcp/localhost:7447", rig)
         assert (route.is_local, route.rig, leads_to(route)) == (True, "one", folder)
-        assert route.commands("one")
         assert route.words("one") == ""
         place = route.command_socket("one")
         assert place is not None
@@ -71,11 +71,11 @@ def test_elsewhere_it_is_the_endpoint_and_commands_are_not_taken(base: pathlib.P
     made(base, "one")
     for endpoint in (OTHER, "tcp/192.0.2.1:7447"):
         route = Route(endpoint, "one")
-        assert (route.endpoint, route.rig, route.commands("one")) == (endpoint, "", False)
-        assert "is not verified, and takes no command but HOLD from here" in route.words("one")
+        assert (route.endpoint, route.rig) == (endpoint, "")
+        assert "is not verified, and takes no command from here" in route.words("one")
         assert "\n" not in route.words("one")
     certified = Route(ENDPOINT.replace("tcp", "tls"), "one", certified=True)
-    assert (certified.endpoint, certified.commands("one")) == ("tls/127.0.0.1:7447", True)
+    assert (certified.endpoint, certified.words("one")) == ("tls/127.0.0.1:7447", "")
     assert certified.command_socket("one") is None
     assert Route(OTHER, "one").command_socket("one") is None
 
@@ -84,9 +84,9 @@ def test_a_rig_that_joins_the_router_there_has_its_own_socket(base: pathlib.Path
     made(base, "one")
     two = made(base, "two", OTHER, ENDPOINT)
     route = Route(ENDPOINT, "two")
-    assert (leads_to(route), route.commands("two")) == (two, True)
+    assert (leads_to(route), route.words("two")) == (two, "")
     relayed = Route(ENDPOINT, "three")  # read through the first one's router
-    assert (relayed.rig, relayed.commands("three")) == ("one", False)
+    assert (relayed.rig, relayed.command_socket("three")) == ("one", None)
     assert relayed.words("three").endswith("one relays it")
     for one in (route, relayed):
         one.leave()
@@ -106,19 +106,23 @@ def test_a_socket_that_this_user_may_not_open_leaves_the_endpoint(
     may = os.access
     monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK and may(path, mode))
     route = Route(ENDPOINT)
-    assert (route.endpoint, route.commands("one")) == (ENDPOINT, False)
+    assert (route.endpoint, route.command_socket("one")) == (ENDPOINT, None)
     assert route.words("one").endswith(f"this user may not open {folder}/gateway.sock")
 
 
-def test_of_several_the_one_that_answers_is_taken(base: pathlib.Path) -> None:
-    for name in ("left_over", "too"):
+def test_of_several_the_one_that_runs_is_taken(base: pathlib.Path) -> None:
+    for name in ("left_over", "runs", "too"):
         made(base, name)
-    folder = made(base, "runs", sockets=False)
-    with socket.socket(socket.AF_UNIX) as listening:
-        listening.bind(str(folder / "gateway.sock"))
-        listening.listen()
-        route = Route(ENDPOINT)
+    (base / "rigctl-runs" / "lock").write_text(f"{os.getpid()}\n")
+    route = Route(ENDPOINT)
     assert route.rig == "runs"
+    route.leave()
+
+
+def test_a_daemon_of_the_version_before_is_read_and_has_no_socket_for_commands(base: pathlib.Path) -> None:
+    (made(base, "one") / "command.sock").unlink()
+    route = Route(ENDPOINT)
+    assert (route.is_local, route.command_socket("one"), route.words("one")) == (True, None, "")
     route.leave()
 
 

@@ -265,13 +265,24 @@ def test_a_loop_that_was_killed_leaves_its_sockets_to_the_next(runtime: Runtime)
     second.sockets.close()
 
 
-def test_in_a_checkouts_folder_there_is_the_one_socket_of_its_user(tmp_path: pathlib.Path) -> None:
-    found = Runtime.of("paper_rig", tmp_path)
+@ROOT
+def test_in_a_checkouts_folder_every_user_gives_hold() -> None:
+    base = layout.SHARED_MEMORY / f"rigctl-test-holds-{os.getpid()}"
+    base.mkdir(mode=0o755)
+    found = Runtime.of("paper_rig", base)
+    found.directory.mkdir(mode=0o700)  # left by a daemon of the version before
     found.claim()
-    (tmp_path / "rigctl-paper_rig" / "hold.sock").touch()  # of the version before
-    HoldSockets(found).close()
-    assert [path.name for path in found.directory.glob("hold.*")] == [socket_name(OWN)]
-    assert found.place(socket_name(OWN)).stat().st_mode & 0o777 == 0o600
+    (found.directory / "hold.sock").touch()  # of the version before that
+    rig = Ticks(found)
+    try:
+        assert found.directory.stat().st_mode & 0o777 == 0o711
+        for uid, place in ((NOBODY, rig.place(NOBODY)), (UNLISTED[0], rig.place(None))):
+            assert rig.by(uid, place)[0].startswith("HoldAnswer(")
+        assert [hold.uid for hold in rig.taken] == [NOBODY, UNLISTED[0]]
+    finally:
+        rig.sockets.close()
+        found.remove()
+        base.rmdir()
 
 
 def test_without_access_lists_the_users_share_a_socket(runtime: Runtime, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -308,7 +308,7 @@ def test_who_asks_and_does_not_read_waits_and_takes_no_memory(gateway: Gateway) 
 
 def test_a_follower_gets_every_state_and_one_that_was_slow_the_newest(gateway: Gateway) -> None:
     client, mailbox = CommandConnections(gateway.place), Mailbox(None, "state", 10_000)
-    client.follow_state(mailbox, lambda _: None)
+    client.follow_state(mailbox)
     slow = gateway.connected()
     asked(slow, 9, "tele/state", follow=True)
     until(lambda: sum(bool(one.follows) for one in gateway.socket._of.values()) == 2)
@@ -330,7 +330,7 @@ def test_a_follower_gets_every_state_and_one_that_was_slow_the_newest(gateway: G
 
 def test_a_follower_goes_on_with_the_next_gateway(gateway: Gateway) -> None:
     client, mailbox = CommandConnections(gateway.place), Mailbox(None, "state", 10_000)
-    client.follow_state(mailbox, lambda _: None)
+    client.follow_state(mailbox)
 
     def published(state: bytes) -> bytes | None:
         gateway.socket.publish(state)
@@ -344,15 +344,6 @@ def test_a_follower_goes_on_with_the_next_gateway(gateway: Gateway) -> None:
     until(lambda: published(b"2") == b"2")  # a state of the former gateway may come first
     mailbox.close()
     client.close()
-
-
-def test_without_such_a_socket_the_caller_is_told(tmp_path: pathlib.Path) -> None:
-    client, found = CommandConnections(tmp_path / COMMAND_SOCKET), list[Mailbox]()
-    with pytest.raises(FileNotFoundError):
-        client.ask("cmd/arm", b"{}", patience_s())
-    mailbox = Mailbox(None, "state", 10)
-    client.follow_state(mailbox, found.append)
-    assert until(lambda: found) == [mailbox]
 
 
 @pytest.mark.parametrize(

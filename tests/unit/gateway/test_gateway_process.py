@@ -179,22 +179,23 @@ def test_states_come_by_the_command_socket(rig: Rig) -> None:
     states.close()
 
 
-def test_a_gateway_of_the_version_before_is_read_and_commanded_by_zenoh(rig: Rig) -> None:
+def test_a_gateway_of_the_version_before_is_read_by_zenoh_and_not_commanded(rig: Rig) -> None:
     """It has no command socket."""
-    rig.gateway._socket.close()
     rig.runtime.place(COMMAND_SOCKET).unlink()
-    states = rig.client.follow(rig.client.keys.state)
-    answer = rig.ask("disarm")
-    rig.answer(rig.order(Verb.DISARM))
-    assert answer.result(patience_s())["accepted"]
-    assert {bytes(slot["giver"]) for slot in rig.logged(2)} == {b""}
-    assert rig.client.state()["rig"] == rig.settings.rig
+    with Client(f"unixsock-stream/{rig.runtime.gateway_socket}", rig.settings.rig) as client:
+        states = client.follow(client.keys.state)
+        assert client.state()["rig"] == rig.settings.rig
 
-    def came() -> object:
-        rig.gateway._state.put(rig.gateway._view.newest)
-        return states.take()
+        def came() -> object:
+            rig.gateway.publish()
+            return states.take()
 
-    until(came)
+        until(came)
+        for answer in (client.command("disarm", "kim"), client.take_lease("kim")):
+            assert (answer["accepted"], answer["reason"]) == (False, "not_allowed")
+            assert answer["text"].endswith(
+                " refused: the daemon is of a version before: restart the daemon to command it"
+            )
 
 
 def test_who_lost_connections_is_on_record_once(rig: Rig) -> None:

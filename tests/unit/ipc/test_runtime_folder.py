@@ -25,12 +25,13 @@ def runtime(tmp_path: pathlib.Path) -> Runtime:
     return found
 
 
-def test_the_folder_and_everything_in_it_is_its_owners_alone(runtime: Runtime) -> None:
+def test_others_enter_the_folder_and_read_nothing_in_it_but_whose_it_is(runtime: Runtime) -> None:
     os.umask(before := os.umask(0))
     assert before is not None
     runtime.write_json("active.json", {"pid": 1})
-    assert stat.S_IMODE(runtime.directory.stat().st_mode) == 0o700
+    assert stat.S_IMODE(runtime.directory.stat().st_mode) == 0o711
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in runtime.directory.iterdir()}
+    assert modes.pop("lock") == 0o644
     assert set(modes.values()) == {0o600}, modes
     assert runtime.records.path.stat().st_blocks * 512 >= runtime.records.path.stat().st_size  # its memory is allocated
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.wire.access_control import access_control
+import pytest
+
+from rigctl.wire.access_control import READ_TAILS, access_control
 
 STATING = {"put", "delete", "declare_queryable", "reply", "liveliness_token"}
 
@@ -30,18 +32,18 @@ def test_only_the_gateways_own_session_states_anything() -> None:
     for subject in ("this computer", "without a name", "anyone"):
         assert not {message for message, _ in allowed(section, subject, "ingress")} & STATING
     stated = {one for one in allowed(section, "own commands", "ingress") if one[0] in STATING}
-    assert {key for _, key in stated} == {"rigctl/r/cmd/*", "rigctl/r/cmd/*/*", "rigctl/r/live/**"}
+    assert {key for _, key in stated} == {"rigctl/r/cmd/*/*", "rigctl/r/live/**"}
 
 
-def test_every_verb_by_the_socket_and_hold_alone_by_tcp() -> None:
-    section = access_control("r", "1abc")
-    for subject, keys in (
-        ("this computer", {"rigctl/r/cmd/*", "rigctl/r/cmd/hold"}),
-        ("without a name", {"rigctl/r/cmd/hold"}),
-    ):
-        assert {one for one in allowed(section, subject, "ingress") if "/cmd/" in one[1]} == {
-            ("query", key) for key in keys
-        }
+@pytest.mark.parametrize("joins", [False, True])
+def test_without_a_certificate_nothing_but_reading_is_allowed(joins: bool) -> None:
+    section = access_control("r", "1abc", joins=joins)
+    for subject in ("this computer", "without a name"):
+        for flow in ("ingress", "egress"):
+            assert not [key for _, key in allowed(section, subject, flow) if "cmd" in key or key.endswith("/**/**")]
+    read = {f"rigctl/r/{tail}" for tail in READ_TAILS}
+    asked = {one for one in allowed(access_control("r", "1abc"), "without a name", "ingress") if "live" not in one[1]}
+    assert asked == {(message, key) for message in ("declare_subscriber", "query") for key in read}
 
 
 def test_where_routers_join_what_another_states_of_this_rig_is_denied() -> None:
@@ -49,5 +51,3 @@ def test_where_routers_join_what_another_states_of_this_rig_is_denied() -> None:
     denied = allowed(section, "without a name", "ingress", "deny")
     assert denied == {(message, "rigctl/r/**") for message in STATING}
     assert allowed(section, "without a name", "egress", "deny") == {("query", "rigctl/r/**")}
-    commands = {(message, key) for message, key in allowed(section, "without a name", "ingress") if "/cmd/" in key}
-    assert {key for message, key in commands if message == "query"} == {"rigctl/*/cmd/hold"}
