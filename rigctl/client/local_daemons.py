@@ -48,7 +48,9 @@ def _described(place: FolderPlaces) -> Iterator[tuple[str, str, tuple[str, ...]]
             found = json.loads(place.sealed(name))
             settings = found["settings"] if name == ACTIVE else found
             telemetry = settings["telemetry"] if name == ACTIVE else found
-            yield str(settings["rig"]), str(telemetry["listen"]), tuple(map(str, telemetry.get("join") or ()))
+            rig, listen, join = str(settings["rig"]), str(telemetry["listen"]), telemetry.get("join") or ()
+            if rig.isidentifier():  # anything else would be printed
+                yield rig, listen, tuple(map(str, join))
 
 
 def same_endpoint(connect: str, listen: str) -> bool:

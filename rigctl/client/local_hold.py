@@ -7,17 +7,16 @@ import json
 import math
 import os
 import socket
+import time
 from typing import Any
 
 from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
 from rigctl.ipc import hold_socket
 from rigctl.ipc.folder_places import FolderPlaces
 
-ANSWER_S = 1.5  # the loop answers in the tick that takes it; longer is for a busy computer
+ANSWER_S = 1.0  # sending included; the loop answers in the tick that takes it, so longer is for a busy computer
 VIA = "local socket"
 FORMER = "hold.sock"
-FORMER_CONNECT_S = 0.5
-FORMER_LATER_S = 1.0  # that service answers within 1.5 s, even when the loop does not reply
 _FORMER_BYTES = 1 << 16
 
 
@@ -41,11 +40,27 @@ def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER
 
 
 def _given(daemon: LocalDaemon, operator: str, answer_s: float) -> dict[str, Any]:
+    until, answer = time.monotonic() + answer_s, None
+    is_own = daemon.place.is_shared or daemon.owner == os.geteuid()
     for uid in (os.geteuid(), None):
         with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
-            given = hold_socket.give(daemon.place.place(hold_socket.socket_name(uid)), operator, answer_s)
-            return _silent(daemon, operator) if given is None else _worded(given, operator)
-    return _former(daemon.place, operator, answer_s + FORMER_LATER_S) or _silent(daemon, operator)
+            place, left_s = daemon.place.place(hold_socket.socket_name(uid)), max(0.0, until - time.monotonic())
+            given = hold_socket.give(place, operator, left_s, daemon.owner)
+            answer = _silent(daemon, operator) if given is None else _worded(given, operator)
+            break
+    if answer is None and is_own:
+        answer = _former(daemon.place, operator, max(0.0, until - time.monotonic()))
+    answer = answer or _silent(daemon, operator)
+    return answer if is_own else answer | {"text": f"{answer['text']} (the daemon is of {_name(daemon.owner)})"}
+
+
+def _name(uid: int) -> str:
+    import pwd
+
+    try:
+        return pwd.getpwuid(uid).pw_name
+    except KeyError:
+        return f"uid {uid}"
 
 
 def _silent(daemon: LocalDaemon, operator: str) -> dict[str, Any]:
@@ -70,10 +85,9 @@ def _former(folder: FolderPlaces, operator: str, answer_s: float) -> dict[str, A
     place = folder.directory / "hold" / FORMER if folder.is_shared else folder.directory / FORMER
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(FORMER_CONNECT_S)
+            connection.settimeout(answer_s)
             connection.connect(str(place))
             connection.send(json.dumps({"operator": operator}).encode())
-            connection.settimeout(answer_s)
             found = json.loads(connection.recv(_FORMER_BYTES))
     except (OSError, ValueError, RecursionError):
         return None

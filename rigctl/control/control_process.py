@@ -80,7 +80,7 @@ def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_dat
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data, holds=holds
         )
-        give(runtime.place(socket_name(os.geteuid())), "warm-up", 0.0)
+        give(runtime.place(socket_name(os.geteuid())), "warm-up", 0.0, os.geteuid())
         for _ in range(WARM_UP_TICKS):
             loop.tick()
         holds.close()

@@ -24,15 +24,21 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-from rigctl.ipc.hold_socket import HOLD_SOCKETS, NAME_BYTES, HoldAnswer, socket_name
+from rigctl.ipc.hold_socket import (
+    CREDENTIALS,
+    CREDENTIALS_ROOM,
+    HOLD_SOCKETS,
+    NAME_BYTES,
+    HoldAnswer,
+    socket_name,
+)
 from rigctl.ipc.runtime_folder import Runtime
 
 REST_NS = 20_000_000
 USERS_MAX = 250
 _UNANSWERED_MAX = 16
 _ARMED = select.EPOLLIN | select.EPOLLONESHOT
-_CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
-_ROOM = socket.CMSG_SPACE(_CREDENTIALS.size)
+_WRITES = bytes(ord("?") if code < 0x20 or code == 0x7F else code for code in range(256))  # on a terminal
 _SO_PASSRIGHTS = 83  # <asm-generic/socket.h>
 _PEEK = socket.MSG_DONTWAIT | socket.MSG_PEEK
 _ACCESS_LIST = "system.posix_acl_access"
@@ -123,7 +129,7 @@ class HoldSockets:
     def _receive(self, one: socket.socket, t_ns: int) -> Hold | None:
         closed = False
         try:
-            data, ancillary, flags, address = one.recvmsg(NAME_BYTES, _ROOM, _PEEK)
+            data, ancillary, flags, address = one.recvmsg(NAME_BYTES, CREDENTIALS_ROOM, _PEEK)
             closed = bool(flags & socket.MSG_CTRUNC)  # there was more than the credentials: descriptors
             if not closed:
                 one.recv(1, socket.MSG_DONTWAIT)
@@ -136,9 +142,11 @@ class HoldSockets:
             if len(self._unanswered) >= _UNANSWERED_MAX:
                 self._unanswered.clear()
             self._unanswered[t_ns] = one, address
-        pid, uid, _gid = _CREDENTIALS.unpack(ancillary[0][2]) if ancillary else (0, -1, -1)
-        name = "".join(letter if letter.isprintable() else "?" for letter in data.decode(errors="replace"))
-        return Hold(uid & 0xFFFFFFFF, pid, name, closed)
+        pid, uid, _gid = CREDENTIALS.unpack(ancillary[0][2]) if ancillary else (0, 0xFFFFFFFF, 0)
+        name = data.translate(_WRITES).decode(errors="replace")
+        if not name.isprintable():  # a loop over its letters would take a tenth of a tick
+            name = name.encode("ascii", "replace").decode()
+        return Hold(uid, pid, name, closed)
 
     def answer(self, taken_ns: int, answer: HoldAnswer) -> None:
         """See `HoldSource`."""

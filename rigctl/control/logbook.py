@@ -20,6 +20,7 @@ from rigctl.control.readback import Lost
 from rigctl.control.safety import Trip
 from rigctl.control.tension import TensionLaw
 from rigctl.control.trials import LoadBin
+from rigctl.ipc.hold_socket import NAME_BYTES
 from rigctl.ipc.record import RECORD, REPLY, Flag, Quality
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
@@ -210,7 +211,7 @@ class Logbook:
 
     def hold(self, t_ns: int, id_: int, hold: Hold) -> None:
         """A HOLD from a user of this computer, as it was taken."""
-        self._rings.holds.write(t_ns, id_, hold.uid, hold.pid, hold.operator.encode()[:256])
+        self._rings.holds.write(t_ns, id_, hold.uid, hold.pid, hold.operator.encode()[:NAME_BYTES])
         self.event(t_ns, Kind.LOCAL_HOLD, hold.uid, hold.pid, text=hold.operator.encode()[:80])
         if hold.closed:
             self.event(t_ns, Kind.HOLD_SOCKET_CLOSED, hold.uid, hold.pid)

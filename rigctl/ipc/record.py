@@ -151,7 +151,7 @@ HOLD = Slot(
         Field("id", "Q", "", "comes back in the reply; never one of a command's, see HOLD_ID"),
         Field("uid", "I", "", "user of the process that gave it, as the kernel says (SO_PEERCRED)"),
         Field("pid", "I", "", "that process"),
-        Field("operator", "256s", "", "who gave it, in that process's words"),
+        Field("operator", "1024s", "", "who gave it, in that process's words"),
     ),
 )
 

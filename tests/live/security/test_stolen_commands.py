@@ -134,7 +134,9 @@ def test_another_user_reads_the_rig_is_told_so_and_commands_nothing(own: Daemon)
         assert "this user finds no daemon of it here" in refused.stderr
         assert own.state(anna)["lease"]["holder"] == "anna"
         held = typed("hold", "--operator", "kim", "--json")
-        assert json.loads(held.stdout)["via"] == "local socket", held.stderr
+        answer = json.loads(held.stdout)
+        assert answer["via"] == "local socket", held.stderr
+        assert answer["text"].endswith("(the daemon is of root)")
         assert own.state(anna)["mode"] == "HOLD"
 
 

@@ -177,8 +177,10 @@ def test_the_folder_is_found_by_endpoint_rig_and_owner(runtime: Runtime, monkeyp
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root to make another user's folder")
-def test_of_other_users_daemons_every_one_that_is_meant_gets_the_hold(runtime: Runtime) -> None:
-    """Anybody can make a folder that claims to be the one meant."""
+def test_of_other_users_daemons_every_one_that_is_meant_gets_the_hold_and_is_named_by_its_user(
+    runtime: Runtime,
+) -> None:
+    """Anybody can make a folder that claims to be the one meant; here the loops that answer are of another user."""
     his = Runtime(runtime.directory.with_name("rigctl-a_false_one"))
     his.directory.mkdir(mode=0o711)
     his.write_json(PUBLIC, {"rig": "paper_rig", "listen": ENDPOINT}, PUBLIC_MODE)
@@ -189,7 +191,9 @@ def test_of_other_users_daemons_every_one_that_is_meant_gets_the_hold(runtime: R
             os.chown(one.directory, owner, owner)
         found = local_hold.hold(ENDPOINT, "paper_rig", "kim", patience_s())
     assert found is not None
-    assert found["accepted"]
+    assert not found["accepted"]
+    assert found["text"].startswith("HOLD: the loop of paper_rig does not answer")
+    assert found["text"].endswith("(the daemon is of nobody)")
     assert taken == stolen == ["kim"]
 
 

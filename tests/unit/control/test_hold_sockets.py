@@ -49,7 +49,7 @@ import os, pathlib, sys
 from rigctl.ipc.hold_socket import give
 os.setgroups([]); os.setgid(int(sys.argv[2])); os.setuid(int(sys.argv[2]))
 try:
-    print(give(pathlib.Path(sys.argv[1]), "kim", 60.0))
+    print(give(pathlib.Path(sys.argv[1]), "kim", 60.0, int(sys.argv[3])))
 except OSError as error:
     print(error.strerror)
 """
@@ -61,7 +61,6 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Runtime]:
     base = layout.SHARED_MEMORY / f"rigctl-test-holds-{os.getpid()}"
     base.mkdir(mode=0o755)
     monkeypatch.setattr(layout, "RUN", base)
-    monkeypatch.setattr(hold_socket, "SEND_S", 60.0)
     found = Runtime.of("paper_rig", base)
     found.claim()
     yield found
@@ -91,7 +90,7 @@ class Ticks:
 
     def by(self, uid: int, place: pathlib.Path) -> tuple[str, int]:
         """Give HOLD as a user on a socket; returns what the sender prints, and the ticks that it took."""
-        words = [sys.executable, "-c", GIVE, str(place), str(uid)]
+        words = [sys.executable, "-c", GIVE, str(place), str(uid), str(OWN)]
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
             count = 0
             while process.poll() is None:
@@ -123,7 +122,7 @@ def flooding(place: pathlib.Path, uid: int) -> Iterator[None]:
 
 def given(place: pathlib.Path, operator: str = "kim") -> tuple[threading.Thread, list[HoldAnswer | None]]:
     found: list[HoldAnswer | None] = []
-    thread = threading.Thread(target=lambda: found.append(hold_socket.give(place, operator, 60.0)), daemon=True)
+    thread = threading.Thread(target=lambda: found.append(hold_socket.give(place, operator, 60.0, OWN)), daemon=True)
     thread.start()
     return thread, found
 
@@ -148,8 +147,23 @@ def test_what_would_write_on_a_terminal_or_in_a_log_is_no_name(rig: Ticks) -> No
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
         one.sendto(b"kim\x1b[2J\nERROR: " + b"x" * 5000, str(rig.place(OWN)))
     (hold,) = rig.ticks(1)
-    assert hold.operator == "kim?[2J?ERROR: " + "x" * 65
-    assert len(hold.operator) <= hold_socket.NAME_BYTES
+    assert hold.operator == "kim?[2J?ERROR: " + "x" * (hold_socket.NAME_BYTES - 15)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as one:
+        one.sendto("Zoë\u202e\x9b".encode(), str(rig.place(OWN)))
+    rig.ticks(REST_NS // TICK_NS)
+    assert [hold.operator for hold in rig.taken[1:]] == ["Zo???"]
+
+
+def test_an_answer_of_another_user_than_the_folders_is_none(rig: Ticks) -> None:
+    found: list[HoldAnswer | None] = []
+    thread = threading.Thread(
+        target=lambda: found.append(hold_socket.give(rig.place(OWN), "kim", 60.0, OWN + 1)), daemon=True
+    )
+    thread.start()
+    while thread.is_alive():
+        rig.tick()
+    assert found == [None]
+    assert [hold.operator for hold in rig.taken] == ["kim"]
 
 
 @ROOT
