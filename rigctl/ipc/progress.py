@@ -1,7 +1,7 @@
 """Progress of the daemon's processes: each counts its turns in shared memory, and others see that one has stopped.
 
-A process that hangs is one without progress whose main thread takes no processor time and waits neither for a processor
-nor for a disk: a computer that is stalled or busy does not make its processes hang.
+A process that hangs is one without progress whose main thread sleeps, is stopped, or has used more than half of a
+processor. One that waits for a processor or a disk does not: a computer that is stalled or busy has no process hang.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ REPORTED_S = 1.0
 HUNG_S = 5.0
 _TURN_MAX_S = 0.5  # a longer turn of the observer says that it was stalled itself, as the computer may have been
 _COUNT = struct.Struct("<Q")
-_BUSY = frozenset("RD")  # proc(5): waits for a processor, for a disk
+_SPINS = 0.5  # of a processor
+_DISK = "D"  # proc(5)
 
 
 def progress_file(name: str) -> str:
@@ -66,17 +67,19 @@ def progress_of(folder: FolderFiles, name: str) -> int | None:
 
 
 class Thread(NamedTuple):
-    """State of a process's main thread as in proc(5), and its processor time in clock ticks."""
+    """State of a process's main thread as in proc(5), and for how long it has run and waited for a processor."""
 
     state: str
-    used: int
+    ran_ns: int
+    waited_ns: int
 
 
 def main_thread(pid: int) -> Thread | None:
     """None for a process that this one may not see, as a service of another user."""
     with contextlib.suppress(OSError, ValueError, IndexError):
-        fields = pathlib.Path(f"/proc/{pid}/task/{pid}/stat").read_text().rpartition(")")[2].split()
-        return Thread(fields[0], int(fields[11]) + int(fields[12]))
+        task = pathlib.Path(f"/proc/{pid}/task/{pid}")
+        ran_ns, waited_ns, _slices = (task / "schedstat").read_text().split()
+        return Thread((task / "stat").read_text().rpartition(")")[2].split()[0], int(ran_ns), int(waited_ns))
     return None
 
 
@@ -85,7 +88,7 @@ class StallChange(Enum):
 
     STALLED = auto()  # no progress for REPORTED_S
     RESUMED = auto()
-    HUNG = auto()  # no progress, and idle for HUNG_S: to be replaced
+    HUNG = auto()  # no progress for HUNG_S, for which no computer is the reason: to be replaced
 
 
 @dataclass
@@ -97,30 +100,29 @@ class Stall:
     lasted_s: float = 0.0
     """When it has resumed: how long it had lasted."""
     _silent_s: float = 0.0
-    _idle_s: float = 0.0
+    _hangs_s: float = 0.0
     _count: int | None = None
-    _used: int = -1
+    _thread: Thread | None = None
     _now_s: float | None = None
     _reported = False
 
     def look(self, now_s: float, count: int | None, thread: Thread | None) -> StallChange | None:
         """The next turn; ``now_s``: monotonic, ``count``: of the process, ``thread``: its main thread, if seen."""
-        passed_s = 0.0 if self._now_s is None else min(now_s - self._now_s, _TURN_MAX_S)
-        before, self._now_s = self._count, now_s
+        turn_s = 0.0 if self._now_s is None else now_s - self._now_s
+        passed_s, before, self._now_s = min(turn_s, _TURN_MAX_S), self._count, now_s
+        hangs, self._thread = _hangs(self._thread, thread, turn_s), thread
         if count != before and count is not None:
             resumed, self._reported = self._reported, False
             if before is not None:
                 self.grace_s = 0.0
-            self._count, self._idle_s, self.lasted_s, self._silent_s = count, 0.0, self._silent_s, 0.0
+            self._count, self._hangs_s, self.lasted_s, self._silent_s = count, 0.0, self._silent_s, 0.0
             return StallChange.RESUMED if resumed else None
         if self.grace_s > 0.0:
             self.grace_s -= passed_s
             return None
         self._silent_s += passed_s
-        is_idle = thread is not None and thread.used == self._used and thread.state not in _BUSY
-        self._idle_s = self._idle_s + passed_s if is_idle else 0.0
-        self._used = thread.used if thread is not None else -1
-        if self._idle_s >= HUNG_S:
+        self._hangs_s = self._hangs_s + passed_s if hangs else 0.0
+        if self._hangs_s >= HUNG_S:
             return StallChange.HUNG
         if self._silent_s >= REPORTED_S and not self._reported:
             self._reported = True
@@ -128,7 +130,20 @@ class Stall:
         return None
 
 
-_WORDS = {"R": ", waits for a processor", "D": ", waits for a disk", "T": ", stopped by a signal", "t": ", traced"}
+def _hangs(before: Thread | None, now: Thread | None, turn_s: float) -> bool:
+    """Whether a thread slept, was stopped, or used more than half of a processor between two turns."""
+    if before is None or now is None or now.state == _DISK:
+        return False
+    ran_ns, waits = now.ran_ns - before.ran_ns, now.state == "R" or now.waited_ns > before.waited_ns
+    return ran_ns > _SPINS * turn_s * 1e9 or (ran_ns == 0 and not waits)
+
+
+_WORDS = {
+    "R": ", has or waits for a processor",
+    "D": ", waits for a disk",
+    "T": ", stopped by a signal",
+    "t": ", traced",
+}
 
 
 def stalled_words(thread: Thread | None) -> str:

@@ -49,6 +49,7 @@ from rigctl.supervisor.service_process import ServiceProcess
 
 POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
 START_LIMIT_S = 20.0
+STARTING_S = 60.0  # until then a process without progress does not hang
 STOP_LIMIT_S = 5.0
 GAINS_BYTES = 1 << 20
 BACKOFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
@@ -341,7 +342,7 @@ class Supervisor:
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True, env=unnotified())
         failures = self._children[name].failures if name in self._children else 0
-        grace_s = START_LIMIT_S + (self.settings.start_up_limit_s if name == "control" else 0.0)
+        grace_s = STARTING_S + (self.settings.start_up_limit_s if name == "control" else 0.0)
         self._children[name] = Child(name, process, time.monotonic(), failures, stall=Stall(grace_s))
         memory.apply(memory.SHARES[name], process.pid)
         if name != "control":
@@ -412,7 +413,7 @@ class Supervisor:
                 if why := self._why_refused(child):
                     how = f"could not start: {why}"
                 if child.hung:
-                    how = f"hung, without progress and processor time for {HUNG_S:g} s, and was killed"
+                    how = f"hung, without progress for {HUNG_S:g} s, and was killed"
                 comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
                 if child.failures > LOOPING:
                     comes += f" (it has ended {child.failures} times in a row, see what it said)"

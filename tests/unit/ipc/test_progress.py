@@ -14,7 +14,7 @@ from rigctl.ipc.progress import HUNG_S, REPORTED_S, Progress, Stall, StallChange
 from rigctl.ipc.runtime_folder import Runtime
 
 TURN_S = 0.1
-STOPPED = Thread("T", 100)
+STOPPED = Thread("T", 100, 7)
 
 
 def looked(stall: Stall, seconds: float, thread: Thread | None, *, at: float = 0.0, count: int | None = 7,
@@ -25,7 +25,7 @@ def looked(stall: Stall, seconds: float, thread: Thread | None, *, at: float = 0
     return [(round(now - at, 6), found) for now in turns if (found := stall.look(now, count, thread)) is not None]
 
 
-def test_a_process_without_progress_is_reported_after_1_s_and_hangs_after_5_s_without_processor_time() -> None:
+def test_a_process_without_progress_is_reported_after_1_s_and_hangs_after_5_s() -> None:
     found = looked(Stall(), 5.4, STOPPED)
     assert [what for _, what in found][:2] == [StallChange.STALLED, StallChange.HUNG]
     (reported, _), (hung, _) = found[:2]
@@ -35,13 +35,30 @@ def test_a_process_without_progress_is_reported_after_1_s_and_hangs_after_5_s_wi
 
 @pytest.mark.parametrize("state", ["R", "D"])
 def test_one_that_waits_for_a_processor_or_a_disk_does_not_hang(state: str) -> None:
-    assert [what for _, what in looked(Stall(), 60.0, Thread(state, 100))] == [StallChange.STALLED]
+    assert [what for _, what in looked(Stall(), 60.0, Thread(state, 100, 7))] == [StallChange.STALLED]
 
 
-def test_one_that_takes_processor_time_does_not_hang() -> None:
+@pytest.mark.parametrize(
+    ("ran_s", "waited_s", "state"),
+    [(0.04, 0.06, "R"), (0.04, 0.0, "S"), (0.0, 0.1, "S"), (0.001, 0.0, "S"), (0.09, 0.0, "D")],
+)
+def test_one_that_takes_or_waits_for_a_processor_or_a_disk_does_not_hang(
+    ran_s: float, waited_s: float, state: str
+) -> None:
     stall = Stall()
-    found = [stall.look(TURN_S * turn, 7, Thread("S", turn // 20)) for turn in range(600)]
+    found = [
+        stall.look(TURN_S * turn, 7, Thread(state, round(turn * ran_s * 1e9), round(turn * waited_s * 1e9)))
+        for turn in range(600)
+    ]
     assert [what for what in found if what is not None] == [StallChange.STALLED]
+
+
+@pytest.mark.parametrize("state", ["R", "S"])
+def test_one_that_spins_without_progress_hangs_after_5_s(state: str) -> None:
+    stall = Stall()
+    found = [stall.look(TURN_S * turn, 7, Thread(state, round(turn * 0.06e9), 0)) for turn in range(60)]
+    assert [what for what in found if what is not None][:2] == [StallChange.STALLED, StallChange.HUNG]
+    assert HUNG_S <= TURN_S * found.index(StallChange.HUNG) <= HUNG_S + 2 * TURN_S
 
 
 def test_one_that_may_not_be_seen_is_reported_only() -> None:
