@@ -221,13 +221,18 @@ def document(settings: RigSettings) -> str:
         f"| {unit_of(bound.key)} | {bound.why} |"
         for bound in BOUNDS
     ]
-    return _PAGE.format(rig=settings.rig, stop=Stop.of(settings).in_words(settings)) + "\n".join(rows) + _END
+    least, most = settings.plant.found_n_mm
+    return (
+        _PAGE.format(rig=settings.rig, stop=Stop.of(settings).in_words(settings))
+        + "\n".join(rows)
+        + _END.format(rig=settings.rig, least=least, most=most)
+    )
 
 
 _PAGE = """\
 # Bounds of the settings that a protection hangs on
 
-Generated from the tables of the code: `python -m rigctl.config.bounds FILE > docs/bounds.md`.
+Generated from the tables of the code: `python -m rigctl.config.bounds_page FILE > docs/bounds.md`.
 
 A value may be fine by its type and still disarm a protection. A rig file with a setting beyond its bound is refused,
 `FILE:LINE: key: found X, expected Y (reason)`; `safety.waiver: "why"` lets it run all the same, and `rigctl check` and
@@ -252,6 +257,11 @@ Bounds that hold by themselves, whatever the rest says: `safety.tension_high_n` 
 `tension.target_max_n`; `safety.tension_low_n` below `tension.target_min_n`; `calibration.tare_limit_n` below
 `safety.tension_low_n`; `safety.stale_ms` two loop periods or more; `estimator.gate_sigma` 3 to 10;
 `cylinder.status_rate_hz` 5 Hz or more; `cylinder.heartbeat_timeout_ms` twice `can.heartbeat_ms` or more.
+
+The first tensioning after a start finds the stiffness from stroke and tension. It must be one that the assumed family
+of plants has, {least:.2f} to {most:.2f} N/mm on `{rig}`: spring and rope +-20 %, the mechanism rigid to 6 N/mm, and
+15 % that 15 N of tension show wrongly; never below a third of the file's. Beyond it lengths or forces are not those of
+the rig file, and SIGN_CELL ends the tensioning.
 
 Not bounded by physics, because no protection hangs on it: `cylinder.stroke_min_mm` and `stroke_max_mm` (the cylinder's
 own; its end stops are further out), `preflight.stroke_margin_mm` (the law itself brakes before an end),

@@ -6,6 +6,15 @@ from pydantic import Field
 
 from rigctl.config.settings_base import Settings
 
+MECHANISMS_N_MM: tuple[float | None, ...] = (None, 1000.0, 60.0, 20.0, 6.0)
+"""The assumed family: stiffnesses of the mechanism, None = rigid (domain notes, "Control facts worth knowing")."""
+STIFFNESS_SCALES = (0.8, 1.0, 1.2)
+"""The assumed family: stiffness of spring and rope over that of the file."""
+FOUND_SHARE = 0.15
+"""Error of a stiffness found over 15 N of tension, at most: the mechanism swings meanwhile."""
+FOUND_FACTOR = 3.0
+"""Error of a stiffness found beyond which no second look is worth it."""
+
 
 class PlantSettings(Settings):
     """The plant as assumed by estimator and design."""
@@ -26,7 +35,7 @@ class PlantSettings(Settings):
         """Spring and rope in series, equation (17); the rope alone without a spring."""
         if self.spring_n_mm is None:
             return self.rope_n_mm
-        return 1.0 / (1.0 / self.spring_n_mm + 1.0 / self.rope_n_mm)
+        return in_series(self.spring_n_mm, self.rope_n_mm)
 
     @property
     def damping_n_s_mm(self) -> float:
@@ -42,4 +51,17 @@ class PlantSettings(Settings):
         """What a slow stroke meets: spring, rope and mechanism in series."""
         if self.mechanism_n_mm is None:
             return self.stiffness_n_mm
-        return 1.0 / (1.0 / self.stiffness_n_mm + 1.0 / self.mechanism_n_mm)
+        return in_series(self.stiffness_n_mm, self.mechanism_n_mm)
+
+    @property
+    def found_n_mm(self) -> tuple[float, float]:
+        """Least and largest stiffness that the first tensioning may find: that of the assumed family."""
+        k, slowest = self.stiffness_n_mm, min(x for x in (*MECHANISMS_N_MM, self.mechanism_n_mm) if x is not None)
+        softest = in_series(min(STIFFNESS_SCALES) * k, slowest)
+        least = max((1.0 - FOUND_SHARE) * softest, self.slow_stiffness_n_mm / FOUND_FACTOR)
+        return least, (1.0 + FOUND_SHARE) * max(STIFFNESS_SCALES) * k
+
+
+def in_series(one_n_mm: float, other_n_mm: float) -> float:
+    """Stiffness of two springs in a chain."""
+    return 1.0 / (1.0 / one_n_mm + 1.0 / other_n_mm)

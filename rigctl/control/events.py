@@ -141,6 +141,7 @@ def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
         value=Number(value * scale),
         limit=Number(limit * scale),
         text=text,
+        found=text and f" ({text})",
         unit=_unit_of(text),
         seen=_SEEN.get(value, "input not known"),
         speed=f" ({Number(value):.2f} mm/s)" if limit else "",

@@ -138,8 +138,8 @@ class Fault(IntEnum):
     # A shorter rope does not pull harder, or by far more or less than the plant's stiffness
     SIGN_CELL = (
         17,
-        "the tension does not follow the stroke as the plant says: check the signs of cell and drive",
-        "Correct the cell's sign, or the plant's stiffness (mechanism_n_mm too, where it gives way), in the rig file.",
+        "the tension does not follow the stroke as the plant says{found}: check signs and scales of cell and drive",
+        "Correct the cell's sign, the drive's units or the plant's stiffness (mechanism_n_mm too) in the rig file.",
     )
     # A row of the rig file's limits; the trip's event names it
     LIMIT = (

@@ -229,6 +229,7 @@ class Observer:
         snapshot.fallen_n, snapshot.sinks_n = held.fallen_n, held.sinks_n
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        snapshot.slope_words = self._signs.words
         snapshot.zero_found_n = self.inbox.cell.zero_found_n
         self.look_at_settings()
 

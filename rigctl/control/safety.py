@@ -207,7 +207,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),
         Row(Fault.SIGN_DRIVE, FieldValue("drive_reversed"), 0, 0, _TENSIONING, ""),
-        Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, ""),
+        Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, "", words=lambda x: x.slope_words),
         Row(Fault.CELL_INVALID, FieldValue("cell_quality"), 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, FieldValue("inclination_quality"), 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),

@@ -1,10 +1,11 @@
 """Sign checks in the first tensioning after a start: the signs of drive and cell must be right before compensating.
 
-A positive command must move the stroke up, and a shorter rope must pull harder, by about the stiffness of the plant:
-from that of rope and spring, before a flexible mechanism gives way, down to that of all three in series, once it has.
+A positive command must move the stroke up, and a shorter rope must pull harder, by a stiffness that the assumed family
+of plants has (`PlantSettings.found_n_mm`): beyond it neither the gains nor the lengths of the rig file are right.
 A rig that is wired, mounted or configured the other way round would run away in the closed loop; here it is caught
 within a millimetre, or within the tension that counts as slack. A tensioning too short for a verdict leaves the check
-to the next one.
+to the next one. A stiffness beyond the family, but by less than a factor of three, is looked at again over four times
+the span, in which a mechanism that swings or a payload that moves shows less.
 
 On a rig that starts tight and on target the ramp makes no motion to judge. Then the tension is first lowered by
 `SLOPE_N` in open loop at low speed (raised where there is no room below); the ramp then leads back.
@@ -14,6 +15,7 @@ from __future__ import annotations
 
 import math
 
+from rigctl.config.plant_section import FOUND_FACTOR
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 
@@ -21,7 +23,7 @@ TRAVEL_MM = 0.1  # expected travel before the drive is judged: more than its del
 PATIENCE_MM = 1.0  # expected travel at which the drive must have moved
 FOLLOWS, OPPOSES = 0.5, -0.25  # shares of the expected travel
 SLOPE_N, SLOPE_MM = 15.0, 0.2  # span of the slope's verdict: far above noise and the screw's play
-SLOPE_FACTOR = 3.0  # largest error allowed of the rig file's stiffness
+AGAIN = 4.0  # spans of the second look
 FALL_NOISES = 20.0
 PROBE_S, PROBE_MM_S = 0.5, 0.2  # time and least speed of the probing move; a dead band may hold a slower drive
 
@@ -29,12 +31,13 @@ PROBE_S, PROBE_MM_S = 0.5, 0.2  # time and least speed of the probing move; a de
 class SignCheck:
     """Runs every tick of TENSIONING until ``passed``; ``slope_n_mm`` is the stiffness found.
 
-    ``probe_mm_s``: speed of the probing move in open loop; 0 for none.
+    ``probe_mm_s``: speed of the probing move in open loop; 0 for none. ``words``: of a stiffness beyond the family.
     """
 
     def __init__(self, settings: RigSettings) -> None:
         plant, tension = settings.plant, settings.tension
-        self._stiffness, self._least_n_mm = plant.stiffness_n_mm, plant.slow_stiffness_n_mm / SLOPE_FACTOR
+        self._stiffness, self._slow_n_mm = plant.stiffness_n_mm, plant.slow_stiffness_n_mm
+        self._range_n_mm = plant.found_n_mm
         self._dt = 1.0 / settings.loop.rate_hz
         self._share = 1.0 - math.exp(-self._dt / plant.cylinder_lag_s)
         self._stroke_min_mm = settings.cylinder.stroke_min_mm
@@ -47,8 +50,9 @@ class SignCheck:
 
     def begin(self, stroke_mm: float, tension_n: float) -> None:
         """A tensioning starts at this stroke and tension."""
-        self.probe_mm_s = 0.0
+        self.probe_mm_s, self.words = 0.0, ""
         self._travel_mm, self._span_mm = TRAVEL_MM, max(SLOPE_N / self._stiffness, SLOPE_MM)
+        self._last_look = False
         self._start_mm, self._start_n = stroke_mm, tension_n
         self._tight_at: tuple[float, float] | None = None
         self._expected_mm = self._speed_mm_s = 0.0
@@ -59,6 +63,7 @@ class SignCheck:
         self.begin(stroke_mm, tension_n)
         # The load seats the nut, so there is no play to exceed, and a stiff rope gains no more tension than a soft one.
         self._span_mm = span_mm = SLOPE_N / self._stiffness
+        self._last_look = True  # there is no room for more
         self._travel_mm = min(TRAVEL_MM, 0.5 * span_mm)
         room = stroke_mm - span_mm > self._stroke_min_mm and tension_n - SLOPE_N > self._tight_n
         self.probe_mm_s = math.copysign(max(span_mm / PROBE_S, PROBE_MM_S), -1.0 if room else 1.0)
@@ -88,7 +93,7 @@ class SignCheck:
         moved_mm, gained_n = stroke_mm - self._start_mm, tension_n - self._start_n
         if moved_mm * gained_n < 0.0 and abs(gained_n) >= self._fall_n:
             # A fall steeper than the rope's stiffness allows comes from a load that moves, not from the stroke.
-            return abs(moved_mm) * self._stiffness * SLOPE_FACTOR >= abs(gained_n)
+            return abs(moved_mm) * self._stiffness * FOUND_FACTOR >= abs(gained_n)
         if self._tight_at is None:
             if tension_n >= self._tight_n:
                 self._tight_at = stroke_mm, tension_n
@@ -98,8 +103,15 @@ class SignCheck:
         if abs(moved_mm) < self._span_mm:
             return False
         self.slope_n_mm = (tension_n - at_n) / moved_mm
-        plausible = self._least_n_mm <= self.slope_n_mm <= self._stiffness * SLOPE_FACTOR
-        self.passed = plausible and self._drive_follows
-        if self.passed:
-            self.probe_mm_s = 0.0
-        return not plausible
+        least, most = self._range_n_mm
+        if least <= self.slope_n_mm <= most:
+            self.passed = self._drive_follows
+            if self.passed:
+                self.probe_mm_s = 0.0
+            return False
+        near = self._slow_n_mm / FOUND_FACTOR <= self.slope_n_mm <= self._stiffness * FOUND_FACTOR
+        if near and not self._last_look:
+            self._span_mm, self._last_look = AGAIN * self._span_mm, True
+            return False
+        self.words = f"{self.slope_n_mm:z.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
+        return True

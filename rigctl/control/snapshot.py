@@ -102,6 +102,7 @@ class Snapshot:
     drive_emergency: int = 0
     drive_reversed: bool = False  # see rigctl.control.signs
     cell_reversed: bool = False
+    slope_words: str = ""
     rejects: int = 0
     slope_rejects: int = 0
     cell_nis: float = 0.0

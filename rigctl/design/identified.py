@@ -23,8 +23,9 @@ from itertools import product
 from typing import Any, NamedTuple
 
 from rigctl.config.changed_settings import changed
+from rigctl.config.plant_section import MECHANISMS_N_MM
 from rigctl.config.settings import RigSettings
-from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, STIFFNESSES_N_MM, Family, Member, sampled
+from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Family, Member, sampled
 from rigctl.ipc.ledger import CLOCKS_DIFFER, Entry, entry_digest, moment
 
 IDENTIFY, RESPONSE = "identify", "response"  # actions of the ledger whose figures are of the plant
@@ -264,8 +265,8 @@ def mechanisms(found: Identified, settings: RigSettings) -> tuple[float | None, 
     bound = found.mechanism_above_n_mm
     if bound is None:
         own = settings.plant.mechanism_n_mm
-        return tuple(dict.fromkeys((*STIFFNESSES_N_MM, own)))
-    return (*(k_m for k_m in STIFFNESSES_N_MM if k_m is None or k_m > bound), bound)
+        return tuple(dict.fromkeys((*MECHANISMS_N_MM, own)))
+    return (*(k_m for k_m in MECHANISMS_N_MM if k_m is None or k_m > bound), bound)
 
 
 def family(settings: RigSettings, found: Identified) -> Family:

@@ -24,14 +24,13 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from rigctl.config.plant_section import MECHANISMS_N_MM, STIFFNESS_SCALES
 from rigctl.config.settings import RigSettings
 
 Array = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 
-STIFFNESSES_N_MM: tuple[float | None, ...] = (None, 1000.0, 60.0, 20.0, 6.0)  # K_m; None = rigid
 REPORTED_N_MM = 2.0  # shown beside the family, not part of the verdict
-K_SCALES = (0.8, 1.0, 1.2)
 DELAY_SCALES = (1, 2)
 LOSS_SCALE = 2.0  # of spring and rope: one that is not measured is known by its order of magnitude
 LOSS_STEPS = 5
@@ -211,20 +210,22 @@ def with_losses(settings: RigSettings) -> Family:
     It lowers the largest |S|, and raises it elsewhere: on a soft spring from 1.08 to 1.4 at 48 Hz. What is compared
     with a measured |S| frequency by frequency has to have it.
     """
-    stiffnesses = dict.fromkeys((*STIFFNESSES_N_MM, settings.plant.mechanism_n_mm))
+    stiffnesses = dict.fromkeys((*MECHANISMS_N_MM, settings.plant.mechanism_n_mm))
     losses = np.linspace(0.0, LOSS_SCALE, LOSS_STEPS).tolist()
-    members = [member(settings, *scales) for scales in product(stiffnesses, K_SCALES, DELAY_SCALES, losses)]
+    members = [member(settings, *scales) for scales in product(stiffnesses, STIFFNESS_SCALES, DELAY_SCALES, losses)]
     return Family(ASSUMED, tuple(members))
 
 
 def family(settings: RigSettings) -> list[Member]:
     """Every member of the assumed family; it always includes the mechanism's stiffness of the file."""
-    stiffnesses = list(STIFFNESSES_N_MM)
+    stiffnesses = list(MECHANISMS_N_MM)
     if settings.plant.mechanism_n_mm not in stiffnesses:
         stiffnesses.append(settings.plant.mechanism_n_mm)
-    return [member(settings, *scales) for scales in product(stiffnesses, K_SCALES, DELAY_SCALES)]
+    return [member(settings, *scales) for scales in product(stiffnesses, STIFFNESS_SCALES, DELAY_SCALES)]
 
 
 def reported(settings: RigSettings) -> list[Member]:
     """Members shown beside the family, with a mechanism much softer than the rope's spring."""
-    return [member(settings, REPORTED_N_MM, k_scale, delay) for k_scale, delay in product(K_SCALES, DELAY_SCALES)]
+    return [
+        member(settings, REPORTED_N_MM, k_scale, delay) for k_scale, delay in product(STIFFNESS_SCALES, DELAY_SCALES)
+    ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,7 +12,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
+from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.signs import SLOPE_N
@@ -196,8 +197,14 @@ def test_on_target_too_each_wrong_way_round_is_caught_before_the_loop_is_closed_
 
 
 @pytest.mark.starts_in(Mode.HOLD)
-def test_a_spring_that_is_not_the_files_is_caught(rig: Lockstep) -> None:
-    cell_reads(rig, lambda n: 0.25 * n)
+@pytest.mark.parametrize("share", [0.25, 0.344, 1.5])  # 0.344: lengths 2.9 times too long
+def test_a_stiffness_that_the_assumed_family_has_not_ends_the_tensioning(rig: Lockstep, share: float) -> None:
+    cell_reads(rig, lambda n: share * n)
     assert rig.command(Verb.TENSION) is Refusal.NONE
     rig.run(4.0)
     assert rig.loop.machine.fault is Fault.SIGN_CELL
+    assert rig.rig.truth.tension_n < 200.0  # shown within 60 N
+    (trip,) = [event for event in rig.events.read() if event["kind"] == Kind.TRIP]
+    text = trip["text"].decode()
+    words = worded(trip["kind"], trip["a"], trip["b"], trip["value"], trip["limit"], text).text
+    assert re.search(r"\d N/mm found, 2.26 to 8.23 N/mm expected\)", words), words

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.config.plant_section import in_series
 from rigctl.control.faults import Fault
 from rigctl.control.signs import SignCheck
+from rigctl.design.plant_family import family
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -75,12 +77,39 @@ def test_each_wrong_way_round_is_found_early(slack_mm: float) -> None:
 
 @pytest.mark.parametrize(
     ("factor", "fault"),
-    [(0.25, Fault.SIGN_CELL), (0.5, Fault.NONE), (2.0, Fault.NONE), (4.0, Fault.SIGN_CELL)],
-)
-def test_the_slope_may_be_wrong_by_a_factor_of_three(factor: float, fault: Fault) -> None:
+    [
+        (0.25, Fault.SIGN_CELL), (2.05 / K, Fault.SIGN_CELL), (0.4, Fault.NONE), (1.3, Fault.NONE),
+        (1.45, Fault.SIGN_CELL), (4.0, Fault.SIGN_CELL),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("slack_mm", [2.0, -40.0])
+def test_the_slope_must_be_one_of_the_assumed_family(factor: float, fault: Fault, slack_mm: float) -> None:
     check = SignCheck(SETTINGS)
-    assert Rig(cell_factor=factor).run(check)[0] is fault
+    assert Rig(cell_factor=factor, slack_mm=slack_mm).run(check)[0] is fault
     assert check.passed == (fault is Fault.NONE)
+    least, most = SETTINGS.plant.found_n_mm
+    assert (least, most) == (pytest.approx(2.26, abs=0.01), pytest.approx(8.23, abs=0.01))
+    words = f"{factor * K:.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
+    assert check.words == ("" if fault is Fault.NONE else words)
+    assert len(check.words) <= 80  # an event's text
+
+
+def test_the_family_of_the_first_tensioning_is_that_of_the_design() -> None:
+    slow = [k.k_scale * K if k.k_m is None else in_series(k.k_scale * K, k.k_m) for k in family(SETTINGS)]
+    least, most = SETTINGS.plant.found_n_mm
+    assert (least, most) == (pytest.approx(0.85 * min(slow)), pytest.approx(1.15 * max(slow)))
+
+
+def test_a_payload_that_moves_for_a_moment_is_looked_at_again() -> None:
+    check = SignCheck(SETTINGS)
+    check.begin(0.0, 100.0)
+    for tick in range(2000):
+        stroke_mm = 8.0e-3 * tick
+        moved_n = 0.6 * K * min(stroke_mm, 2.6)  # down, until the first look
+        assert check.see(8.0, stroke_mm, 100.0 + K * stroke_mm + moved_n) is Fault.NONE
+        if tick == 330:
+            assert not check.passed and check.slope_n_mm > SETTINGS.plant.found_n_mm[1]
+    assert check.passed
 
 
 def test_a_drive_that_does_not_move_is_found() -> None:
