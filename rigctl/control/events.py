@@ -40,7 +40,7 @@ class Kind(IntEnum):
     CORRECTION = 12  # value: zero of the tension cell in N, limit: its scale
     GAINS = 14  # text: K_T, K_v, K_i now in force
     LIMIT = 15  # a: fault, b: action (LOG), value, limit, text: a limit of the rig file is exceeded
-    LIMIT_OVER = 16  # as LIMIT: the limit is kept again
+    LIMIT_OVER = 16  # as LIMIT: the limit is kept again; value NaN: it is not watched any more, or has no value
     RECEIVE_FAILED = 17  # text: why
     STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: excursion that is reported
     DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when commanded 0, limit: creep that is reported
@@ -453,7 +453,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
     Kind.TRIP: _trip,
     Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
-    Kind.LIMIT_OVER: lambda _a, _b, _v, m, t: Worded("info", f"limit: no longer {t} {m:.10g}{_unit_of(t)}"),
+    Kind.LIMIT_OVER: lambda _a, _b, v, m, t: Worded(
+        "info", f"limit: {'no longer' if math.isfinite(v) else 'not watched any more:'} {t} {m:.10g}{_unit_of(t)}"
+    ),
     Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} is active: {fault_text(Fault(a), v, m, t)}"),
     Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} is cleared{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),

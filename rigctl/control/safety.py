@@ -421,7 +421,10 @@ class Trip:
 
 
 class RowReports(NamedTuple):
-    """Rows that began to be bad (True) or ended, each with its trip: LOG rows, and the others."""
+    """Rows that began to be bad (True) or ended, each with its trip: LOG rows, and the others.
+
+    A LOG row that ends with NaN is not over: its mode does not watch it any more, or its signal has no value.
+    """
 
     limits: tuple[tuple[Trip, bool], ...] = ()
     causes: tuple[tuple[Trip, bool], ...] = ()
@@ -475,6 +478,8 @@ class Watch:
         self._mode: Mode | None = None
         self._since: dict[int, int] = {}  # time since which a row is bad, by its index; no entry for a good row
         self._logged = [False] * len(self._rows)
+        self._left: set[int] = set()  # LOG rows that were bad when they were last watched
+        self._look_again = False  # one of them is watched now
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self._limits: list[tuple[Trip, bool]] = []  # not reported yet, as are the causes
         self._causes: list[tuple[Trip, bool]] = []
@@ -486,10 +491,11 @@ class Watch:
         if mode is not self._mode:
             self._mode = mode
             for i in self._unwatched[mode]:
-                self._ends(i, watched=False)
+                self._ends(i, seen=False)
+            self._look_again = not self._left.isdisjoint(self._watched[mode].rows)
         watched = self._watched[mode]
         computed = watched.compute(snapshot)
-        if self._since or watched.may_be_bad(snapshot, computed):
+        if self._since or self._look_again or watched.may_be_bad(snapshot, computed):
             return self._judge(watched, computed, snapshot, t_ns)
         return None
 
@@ -500,8 +506,8 @@ class Watch:
         for i, row in watched.rows.items():
             value = values[i] if i in values else row.value(snapshot)
             if not value > row.limit:
-                if i in since:
-                    self._ends(i)
+                if i in since or i in self._left:
+                    self._ends(i, seen=not math.isnan(value))
                 continue
             if t_ns - since.setdefault(i, t_ns) < row.persistence_ns:
                 continue
@@ -515,6 +521,7 @@ class Watch:
                 self.standing |= 1 << row.fault
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
+        self._look_again = not self._left.isdisjoint(watched.rows)
         return strongest
 
     def reports(self) -> RowReports:
@@ -553,21 +560,25 @@ class Watch:
             if row.blocks_reset and (stands or row.bars is Bars.AT_ONCE) and row.value(snapshot) > row.limit:
                 yield row.fault
 
-    def _ends(self, i: int, *, watched: bool = True) -> None:
-        """End a row that is good again, or not watched in this mode: then only LOG rows report the end."""
+    def _ends(self, i: int, *, seen: bool = True) -> None:
+        """End a row that is good again or, not ``seen``, whose signal nobody looks at or that has no value."""
         self._since.pop(i, None)
         if self._stands[i]:
             self._stands[i] = False
             self.standing = 0
             for row, stands in zip(self._rows, self._stands, strict=True):
                 self.standing |= stands << row.fault
-        if self._logged[i]:
-            if watched or self._rows[i].action is Action.LOG:
-                self._log(i, self._rows[i].trip(self._rows[i].limit), begins=False)
-            self._logged[i] = False
+        row, logs = self._rows[i], self._rows[i].action is Action.LOG
+        if self._logged[i] and not seen and logs:
+            self._log(i, row.trip(math.nan), begins=False)
+            self._left.add(i)
+        elif seen and (self._logged[i] or i in self._left):
+            self._log(i, row.trip(row.limit), begins=False)
+        self._logged[i] = False
 
     def _log(self, i: int, trip: Trip, *, begins: bool) -> None:
         self._logged[i] = begins
+        self._left.discard(i)
         (self._limits if self._rows[i].action is Action.LOG else self._causes).append((trip, begins))
 
 

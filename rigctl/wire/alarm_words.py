@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rigctl.config.quantity import count
-from rigctl.wire.alarms import Alarm, Priority
+from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority
 from rigctl.wire.operator_view import OperatorView
 from rigctl.wire.state_words import clock
 
@@ -14,7 +14,7 @@ STYLE = {Priority.URGENT: "bold red", Priority.HIGH: "bold yellow", Priority.LOW
 
 
 def standing(row: Alarm, now_ns: int) -> str:
-    """What became of an alarm: active, latched or cleared, acknowledged, shelved, chattering."""
+    """What became of an alarm: active, latched, cleared or not watched, acknowledged, shelved, chattering."""
     parts = [row.condition]
     if row.acknowledged:
         parts.append("reset" if row.acknowledged == "reset" else f"acknowledged by {row.acknowledged}")
@@ -56,12 +56,13 @@ def line(row: Alarm, now_ns: int) -> str:
 
 
 def tally(alarms: Sequence[Alarm], now_ns: int, barred: int = 0) -> str:
-    """How many alarms are active, latched, cleared and shelved, in words; the same wherever they are counted.
+    """How many alarms are in each condition and shelved, in words; the same wherever they are counted.
 
     ``barred``: checks that bar arming, which are no alarms.
     """
     seen = [row for row in alarms if not row.shelved(now_ns)]
-    numbers = {name: sum(row.condition == name for row in seen) for name in ("active", "latched", "cleared")}
+    names = ("active", "latched", NOT_WATCHED, "cleared")
+    numbers = {name: sum(row.condition == name for row in seen) for name in names}
     numbers["shelved"] = len(alarms) - len(seen)
     parts = [f"{number} {name}" for name, number in numbers.items() if number]
     if barred:

@@ -25,6 +25,7 @@ CHATTERING_NS = 60_000_000_000
 """An alarm that came ``CHATTERING_TIMES`` within this time chatters (ISA-18.2)."""
 LONGEST_SHELF_S = 8 * 3600
 LOOP_SILENT = "LOOP_SILENT"
+NOT_WATCHED = "not watched"
 _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 
 
@@ -70,7 +71,9 @@ class Alarm:
     value: str = ""
     limit: str = ""
     stands: bool = True
-    """Active; else cleared."""
+    """Active; else cleared, or not ``watched``."""
+    watched: bool = True
+    """False: it was active when it was last looked at, and the present mode does not look, or has no value."""
     latched: bool = False
     """Cleared, and its fault is still latched until a reset."""
     acknowledged: str = ""
@@ -93,8 +96,10 @@ class Alarm:
 
     @property
     def condition(self) -> str:
-        """In one word: active, latched or cleared."""
-        return "active" if self.stands else "latched" if self.latched else "cleared"
+        """In a word: active, latched, cleared or not watched."""
+        if self.stands or self.latched:
+            return "active" if self.stands else "latched"
+        return "cleared" if self.watched else NOT_WATCHED
 
 
 # Events that are no trip, with their priority and the fault whose remedy is theirs.
@@ -151,6 +156,11 @@ def cause_of(event: dict[str, Any]) -> str:
     return str(kind) if kind in _OTHERS else ""
 
 
+def _is_nan(value: Any) -> bool:
+    """NaN, which is null in JSON."""
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
 def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
     """The row as an event alone makes it."""
     kind, text, at = event["kind"], str(event.get("text", "")), int(event["wall_ns"])
@@ -189,13 +199,13 @@ class Alarms:
         if event.get("source") == "gateway":
             self._decided(event)
         elif kind == "STARTED":
-            self._rows = {cause: replace(row, stands=False) for cause, row in self._rows.items()}
+            self._rows = {cause: replace(row, stands=False, watched=True) for cause, row in self._rows.items()}
         elif cause := cause_of(event):
             if kind in _ENDS or (kind in ("EMERGENCY", "STROKE") and event.get("severity") == "info"):
-                self._change(cause, stands=False)
+                self._change(cause, stands=False, watched=kind not in _ENDS or not _is_nan(event.get("value")))
             elif kind == "RESET":
                 for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:
-                    self._change(row, acknowledged="reset", stands=False)  # what stands still trips anew
+                    self._change(row, acknowledged="reset", stands=False, watched=True)  # what stands still trips anew
             else:
                 self._came(_alarm_of(event, cause))
 
@@ -275,7 +285,12 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
             continue
         if tripped in Fault.__members__ and row.priority < Priority.LOW:
             active = tripped in named
-            result[name] = replace(row, stands=active, latched=is_latched and not active)
+            result[name] = replace(
+                row,
+                stands=active,
+                latched=is_latched and not active,
+                watched=active or not row.stands,
+            )
             if active and named[tripped].get("action"):
                 result[name] = replace(result[name], priority=_priority_of(named[tripped]))
         elif name in rows:
@@ -305,7 +320,8 @@ def as_message(row: Alarm, now_ns: int) -> dict[str, Any]:
     return {
         "cause": row.cause, "priority": row.priority.name.lower(), "text": row.text, "remedy": row.remedy,
         "count": row.count, "first_ns": row.first_ns, "last_ns": row.last_ns, "value": row.value, "limit": row.limit,
-        "stands": row.stands, "latched": row.latched, "acknowledged": row.acknowledged or None,
+        "stands": row.stands, "latched": row.latched, "watched": row.watched,
+        "acknowledged": row.acknowledged or None,
         "chatters": row.chatters(now_ns),
         "shelved": None if shelf is None
         else {"operator": shelf.operator, "reason": shelf.reason, "until_ns": shelf.until_ns},

@@ -69,7 +69,7 @@ KINDS: dict[Kind, str] = {
     "the present load, value: whole share of the load, text: shares and time constants in s",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
     Kind.LIMIT: "a limit of the rig file that only logs is exceeded; a: fault, b: action, value, limit",
-    Kind.LIMIT_OVER: "such a limit is kept again; as limit",
+    Kind.LIMIT_OVER: "such a limit is kept again; as limit, value: null where it is not watched any more",
     Kind.CAUSE: "a further cause of a fault stands; as trip",
     Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
     Kind.RECEIVE_FAILED: "the bus could not be read; text: why",

@@ -309,13 +309,27 @@ def test_a_row_begins_anew_in_a_mode_that_was_left() -> None:
     assert trip.fault is Fault.TENSION_LOW
 
 
-def test_a_limit_that_is_logged_is_over_when_its_mode_is_left() -> None:
+def test_a_logged_limit_whose_mode_is_left_is_over_only_once_it_is_seen_kept() -> None:
     late = LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"])
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [late]})))
-    bad = replace(GOOD, lateness_ns=600_000)
-    watch.trips(bad, Mode.HOLD, 0)
-    watch.trips(bad, Mode.TENSIONING, MS)
-    assert [begins for _, begins in watch.limits] == [True, False]
+    bad, second = replace(GOOD, lateness_ns=600_000), 1000 * MS
+    for at, (mode, snapshot) in enumerate([
+        (Mode.HOLD, bad), (Mode.TENSIONING, bad), (Mode.TENSIONING, GOOD), (Mode.HOLD, bad), (Mode.FAULT, GOOD),
+        (Mode.HOLD, GOOD), (Mode.TENSIONING, GOOD), (Mode.HOLD, GOOD),
+    ]):  # fmt: skip
+        watch.trips(snapshot, mode, at * second)
+    values = [trip.value for trip, _ in watch.limits]
+    assert [begins for _, begins in watch.limits] == [True, False, True, False, False]
+    assert values == [600.0, pytest.approx(math.nan, nan_ok=True), 600.0, pytest.approx(math.nan, nan_ok=True), 500.0]
+
+
+def test_a_logged_limit_whose_signal_has_no_value_is_not_over() -> None:
+    warm = LimitSettings(signal="drive_temperature_c", high=70.0, action="log", modes=["HOLD"])
+    watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [warm]})))
+    for at, found in enumerate([80.0, math.nan, math.nan, 80.0, math.nan, 60.0, 60.0]):
+        watch.trips(replace(GOOD, drive_temperature_c=found), Mode.HOLD, at * 1000 * MS)
+    ends = [(begins, math.isnan(trip.value)) for trip, begins in watch.limits]
+    assert ends == [(True, False), (False, True), (True, False), (False, True), (False, False)]
 
 
 def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> None:

@@ -135,6 +135,28 @@ def test_each_limit_of_the_rig_file_has_its_own_row() -> None:
     assert [row.cause for row in alarms.rows(CALM, 5 * S) if row.stands] == ["LIMIT stroke_mm above"]
 
 
+def test_a_limit_that_is_not_watched_any_more_is_not_cleared() -> None:
+    name = "cell_age_ms above"
+    alarms = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 8, name)])
+    left = event(Kind.LIMIT_OVER, 1, Fault.LIMIT, Action.LOG, math.nan, 8, name)
+    assert left["text"] == "limit: not watched any more: cell_age_ms above 8 ms"
+    for value in (math.nan, None):  # in this process, and in JSON
+        alarms.note(left | {"value": value})
+        (row,) = alarms.rows(CALM, 2 * S)
+        assert (row.condition, row.stands, as_message(row, 2 * S)["watched"]) == ("not watched", False, False)
+        assert tally([row], 2 * S) == "1 not watched"
+    alarms.note(event(Kind.LIMIT_OVER, 3, Fault.LIMIT, Action.LOG, 8, 8, name))
+    (row,) = alarms.rows(CALM, 4 * S)
+    assert row.condition == "cleared"
+
+
+def test_a_cause_that_no_event_has_ended_and_no_state_names_is_not_watched() -> None:
+    (row,) = Alarms([trip(0)]).rows(CALM, S)
+    assert row.condition == "not watched"
+    (row,) = Alarms([trip(0), over(0.5)]).rows(CALM, S)
+    assert row.condition == "cleared"
+
+
 def test_lateness_makes_no_alarm() -> None:
     assert Alarms([event(Kind.CLOCK, 0, 3)]).rows(CALM, S) == []
 
