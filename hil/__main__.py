@@ -54,8 +54,9 @@ def _serve(
     """Serve the rig of FILE on its CAN bus until interrupted."""
     standard_output.never_wait()
     from hil.faults.served import taking_faults
+    from rigctl.cli.progress import progress
 
-    serve(file, truth, _announce, taking_faults)
+    serve(file, truth, _announce, taking_faults, lambda title: progress(title, None))
 
 
 @app.command("scenario")

@@ -36,6 +36,7 @@ LONGEST_SILENCE_NS = 5_000_000
 
 
 PRIORITY_BELOW_LOOP = 10
+COMPILING = "hil: compiling the plant (once)"
 
 
 class ServeError(Exception):
@@ -164,8 +165,11 @@ def serve(
     truth: pathlib.Path | None,
     announce: Callable[[str], None],
     beside: Callable[[Service], AbstractContextManager[None]] | None = None,
+    compiling: Callable[[str], AbstractContextManager[object]] = nullcontext,
 ) -> None:
-    """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP; ``beside``: entered around the serving.
+    """Serve the rig of ``file`` until SIGTERM, SIGINT or SIGHUP.
+
+    ``beside``: entered around the serving; ``compiling``: with its title, around a compilation of half a minute.
 
     Raises:
         ServeError: with the message for the operator and the exit code.
@@ -180,9 +184,11 @@ def serve(
         eds_file.check(settings)
     except eds_file.EdsError as error:
         raise ServeError(str(error), 2) from None
-    if not is_compiled():
-        sys.stderr.write("hil: compiling the plant (once)\n")
-    service = Service(settings, truth)
+    compiled = is_compiled()
+    if not compiled:
+        sys.stderr.write(f"{COMPILING}\n")
+    with nullcontext() if compiled else compiling(COMPILING):
+        service = Service(settings, truth)
     on_signals(lambda *_: service.stop(), *ENDING)
     try:
         _prepare_process(settings)

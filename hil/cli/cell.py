@@ -38,7 +38,7 @@ def run(rig_file: pathlib.Path, cells: int, json: pathlib.Path | None) -> int:
     if rig.calibration is None:
         raise ScenarioError([f"{rig_file}: calibration: found nothing, expected a section (the cell is calibrated)"])
     check_outputs({"--json": json}, [rig_file])
-    with progress("cells", cells, lines=True) as advance:
+    with progress("cells", cells) as advance:
         found = coverage.study(rig, cells, advance)
     publish(json, document(rig, found), lambda: console(WIDTH).print(_table(rig, found), highlight=False))
     return 0 if all(way.ok for way in found) else 1

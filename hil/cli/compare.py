@@ -52,7 +52,7 @@ def run(
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, comparison_charts.FIRST)
     total = sum(piece.cost for piece in comparison.pieces(rig, chosen, laws).values())
-    with progress("the comparison", total, lines=True) as advance:
+    with progress("the comparison", total) as advance:
         found = comparison.compare(rig, chosen, laws, advance)
     publish(json, comparison_tables.document(found), lambda: comparison_tables.show(found, console(WIDTH)))
     for file in comparison_charts.save(found, folder) if folder is not None else ():

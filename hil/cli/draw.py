@@ -44,7 +44,7 @@ def run(
     indices = _numbers(only, count) or list(range(count))
     check_outputs({"--json": json, "--rows": rows}, [rig_file])
     kept = RowsFile(rows, study_of(rig, seed))
-    with progress("drawn faults", len(indices), lines=True) as advance:
+    with progress("drawn faults", len(indices)) as advance:
         judged, seconds = played_draws.drawn(rig, seed, indices, advance, kept, _write_miss)
     return _shown(judged, json, seconds)
 
@@ -59,7 +59,7 @@ def run_named(rig_file: pathlib.Path, count: int, seed: int, json: pathlib.Path 
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
     blocks = range(-(-count // BLOCK))
-    with progress("culprits of drawn faults", BLOCK * len(blocks), lines=True) as advance:
+    with progress("culprits of drawn faults", BLOCK * len(blocks)) as advance:
         rows = named_draws.play(rig, seed, blocks, advance)
     ok = naming.good(rows)
     found = {"rows": [row.as_dict() for row in rows], "drawn": BLOCK * len(blocks), "total": len(rows), "ok": ok}

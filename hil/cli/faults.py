@@ -43,7 +43,7 @@ def run_kills(rig_file: pathlib.Path, count: int, json: pathlib.Path | None, *, 
     """
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
-    with progress("the gateway" if gateway else "kills", count, lines=True) as advance:
+    with progress("the gateway" if gateway else "kills", count) as advance:
         if gateway:
             found = gateway_kills.play(rig, count, advance).as_dict()
         else:
@@ -71,7 +71,7 @@ def run(rig_file: pathlib.Path, only: Sequence[str], modes: Sequence[str], json:
     rig = simulated_rig(rig_file)
     chosen = choose(only, modes)
     check_outputs({"--json": json}, [rig_file])
-    with progress("the fault catalogue", len(chosen.lockstep) + len(chosen.processes), lines=True) as advance:
+    with progress("the fault catalogue", len(chosen.lockstep) + len(chosen.processes)) as advance:
         rows = lockstep_rows.play(rig, chosen.lockstep, advance)
         rows += processes.play(rig, chosen.processes, advance)
     publish(json, document(rows), lambda: fault_tables.show(rows))
@@ -102,7 +102,7 @@ def run_diagnosis(
     chosen = choose(only, modes or DIAGNOSED).lockstep
     check_folder("--diagnosis", folder, "row.npz")
     check_outputs({"--json": json}, [rig_file])
-    with progress("culprits", len(chosen), lines=True) as advance:
+    with progress("culprits", len(chosen)) as advance:
         rows, unplayed = named_rows.play(rig, chosen, folder, advance)
     counted = {str(kind): count for kind, count in naming.shares(rows).items()}
     ok = naming.good(rows) and not unplayed

@@ -36,7 +36,7 @@ def run(rig_file: pathlib.Path, only: Sequence[str], json: pathlib.Path | None, 
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, moves_output.PICTURE)
     total = sum(piece.cost for piece in repeated_moves.pieces(rig, chosen).values())
-    with progress("the moves", total, lines=True) as advance:
+    with progress("the moves", total) as advance:
         found = repeated_moves.study(rig, chosen, advance)
     publish(json, moves_output.document(found), lambda: moves_output.show(found, chosen, console(WIDTH)))
     if folder is not None and (file := moves_output.draw(found, folder)) is not None:

@@ -29,7 +29,7 @@ def run(rig_file: pathlib.Path, json: pathlib.Path | None, folder: pathlib.Path 
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
     check_folder("--plots", folder, paper_figures.FIRST)
-    with progress("the paper's study", paper_study.runs(), lines=True) as advance:
+    with progress("the paper's study", paper_study.runs()) as advance:
         found = paper_study.run(rig, advance)
     rows = claims.judge(found.passive)
     publish(json, claim_tables.document(rows, found), lambda: claim_tables.show(rows, found, Console()))

@@ -31,7 +31,7 @@ def run(rig_file: pathlib.Path, draws: int, seed: int, json: pathlib.Path | None
     rig = simulated_rig(rig_file)
     check_outputs({"--json": json}, [rig_file])
     gains = accepted_design(rig).gains
-    with progress("loads", len(study.cases(draws, seed)), lines=True) as advance:
+    with progress("loads", len(study.cases(draws, seed))) as advance:
         found = study.study(rig, gains, draws, seed, advance)
     publish(json, document(found), lambda: console(WIDTH).print(_table(found), highlight=False))
     return 0 if all(_good(case, moved) for case, moved in found.items() if case.error_pct is not None) else 1

@@ -1,4 +1,4 @@
-"""Progress on standard error of anything that takes longer than a moment: a bar on a terminal, lines elsewhere."""
+"""Progress on standard error of what takes longer than a moment: a bar on a terminal, elsewhere a line each 10 s."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 APPEARS_S = 1.0
 """A task that ends before this shows no bar."""
-STEPS = 50
-"""Lines of a task without a terminal."""
+LINE_EVERY_S = 10.0
+"""Between two lines of a task without a terminal."""
 
 Advance = Callable[[float, str], None]
 """Called with the work done since the last call, in the unit of the total, and the name of the current step."""
 
 
 @contextlib.contextmanager
-def progress(title: str, total: float, *, lines: bool = False) -> Iterator[Advance]:
-    """A bar from 0 to ``total``, removed when the block ends.
+def progress(title: str, total: float | None) -> Iterator[Advance]:
+    """A bar from 0 to ``total``, removed when the block ends; without a terminal a line each 10 s, with its share.
 
     Args:
         title: text in front of the bar.
-        total: total work, in seconds of simulated time or any other unit.
-        lines: of work that takes minutes: without a terminal a line for every 2 % of it; else nothing is shown.
+        total: total work, in seconds of simulated time or any other unit; None: not known.
     """
     console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _line_by_line(title, total) if lines else _unseen
-        return
+    with _bar(console, title, total) if console.is_terminal else _lines(title, total) as advance:
+        yield advance
+
+
+@contextlib.contextmanager
+def _bar(console: Console, title: str, total: float | None) -> Iterator[Advance]:
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(bar_width=None),
@@ -59,23 +61,29 @@ def progress(title: str, total: float, *, lines: bool = False) -> Iterator[Advan
         bar.stop()
 
 
-def _line_by_line(title: str, total: float) -> Advance:
-    done, shown, lock = 0.0, -1, threading.Lock()
+@contextlib.contextmanager
+def _lines(title: str, total: float | None) -> Iterator[Advance]:
+    done, doing, ended, lock = 0.0, "", threading.Event(), threading.Lock()
 
-    def advance(part: float, doing: str = "") -> None:
-        nonlocal done, shown
+    def advance(part: float, now_doing: str = "") -> None:
+        nonlocal done, doing
         with lock:
             done += part
-            step = min(STEPS, int(STEPS * done / total)) if total > 0.0 else STEPS
-            if step > shown:
-                shown = step
-                with contextlib.suppress(OSError):  # the work goes on without its reader
-                    sys.stderr.write(f"{title}: {100 * step // STEPS} %{f', {doing}' if doing else ''}\n")
-                    sys.stderr.flush()
+            doing = now_doing or doing
 
-    advance(0.0)
-    return advance
+    def write() -> None:
+        passed_s = 0.0
+        while not ended.wait(LINE_EVERY_S):
+            passed_s += LINE_EVERY_S
+            share = f"{min(100.0, 100.0 * done / total):.0f} %" if total else f"{passed_s:.0f} s"
+            with contextlib.suppress(OSError):  # the work goes on without its reader
+                sys.stderr.write(f"{title}: {share}{f', {doing}' if doing else ''}\n")
+                sys.stderr.flush()
 
-
-def _unseen(_done: float, _doing: str = "") -> None:
-    """Stand-in without a display."""
+    writer = threading.Thread(target=write, name="progress", daemon=True)
+    writer.start()
+    try:
+        yield advance
+    finally:
+        ended.set()
+        writer.join()

@@ -167,7 +167,7 @@ def _tuned(
     from rigctl.design.tuning import Optimisation, tune
 
     found = []
-    with progress("weights", len(rigs) * search[1] if search else 1.0, lines=search is not None) as advance:
+    with progress("weights", len(rigs) * search[1] if search else 1.0) as advance:
         for settings in rigs:
             optimisation = Optimisation(*search, lambda: advance(1.0, "")) if search else None
             try:

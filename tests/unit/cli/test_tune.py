@@ -7,10 +7,12 @@ import pathlib
 import re
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 
 import pytest
 
+from rigctl.cli import progress as progress_lines
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
@@ -19,6 +21,7 @@ from rigctl.design.in_use import design_in_use
 from rigctl.design.margins import design_and_check
 from tests.builders import daemons
 from tests.builders.paths import ROOT
+from tests.builders.waiting import until
 
 Rig = Callable[..., RigSettings]
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -182,11 +185,20 @@ def test_check_says_the_design_that_run_says(in_process: Command) -> None:
     )
 
 
-def test_a_long_search_says_how_far_it_is(capsys: pytest.CaptureFixture[str]) -> None:
-    with progress("weights", 600.0, lines=True) as advance:
-        for _ in range(600):
-            advance(1.0, "")
-    assert capsys.readouterr().err.splitlines() == [f"weights: {percent} %" for percent in range(0, 101, 2)]
+def test_a_long_search_says_every_few_seconds_how_far_it_is(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     with progress("a moment", 1.0) as advance:
         advance(1.0, "")
     assert capsys.readouterr().err == ""
+    assert progress_lines.LINE_EVERY_S == 10.0
+    monkeypatch.setattr(progress_lines, "LINE_EVERY_S", 0.01)
+    with progress("weights", 600.0) as advance:
+        advance(30.0, "first")
+        until(lambda: "weights: 5 %, first\n" in capsys.readouterr().err, "the share")
+        advance(570.0, "")
+        until(lambda: "weights: 100 %, first\n" in capsys.readouterr().err, "the whole")
+    with progress("compiling", None):
+        until(lambda: "compiling: 0 s\n" in capsys.readouterr().err, "the time")
+    capsys.readouterr()
+    assert "progress" not in [thread.name for thread in threading.enumerate()]
