@@ -26,7 +26,7 @@ def show(rows: Sequence[FaultResult]) -> None:
     terminal = console(WIDTH)
     table = Table(box=None, pad_edge=False, header_style="bold")
     for name, justify in _COLUMNS:
-        table.add_column(name, justify=justify, overflow="fold")
+        table.add_column(name, justify=justify, no_wrap=name in _NAMES, overflow="fold")
     for row in sorted(rows, key=lambda row: row.ok):
         table.add_row(*_cells(row), style="" if row.ok else "red")
     terminal.print(table)
@@ -107,6 +107,7 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"]], ...] = (
     ("detected ms", "right"), ("reacts ms", "right"), ("tension N", "right"), ("off N", "right"),
     ("stroke mm", "right"), ("carried", "left"), ("not as expected", "left"),
 )  # fmt: skip
+_NAMES = ("fault", "mode", "latched")  # looked for in the output, so in one piece
 
 
 def _cells(row: FaultResult) -> list[Text]:
