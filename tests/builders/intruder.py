@@ -17,7 +17,6 @@ import os
 import pathlib
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from typing import Any
@@ -33,14 +32,6 @@ from tests.builders.waiting import FACTOR, patience_s
 
 NOBODY = 65534
 FORGED = "stroke held at 12.34 mm, tension 56.7 N"
-
-
-def let_others_in(folder: pathlib.Path) -> None:
-    """Let every user reach a test's folder, whatever folders of the test runner it lies in."""
-    top = pathlib.Path(tempfile.gettempdir())
-    for one in (folder, *folder.parents):
-        if top in one.parents:
-            one.chmod(one.stat().st_mode | 0o055)
 
 
 def become_nobody() -> None:

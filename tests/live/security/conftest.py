@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import pathlib
+import tempfile
 from collections.abc import Iterator
 
 import pytest
 
 from tests.builders.miniature import Daemon, running
 from tests.builders.namespace import cabled
+
+
+@pytest.fixture
+def tmp_path() -> Iterator[pathlib.Path]:
+    """A folder that every user may enter. Those of pytest are closed to others whenever one more run of it begins."""
+    with tempfile.TemporaryDirectory(prefix="rigctl-test-") as name:
+        folder = pathlib.Path(name)
+        folder.chmod(0o755)
+        yield folder
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from rigctl.client.connection import Client
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.wire.keys import Keys
 from tests.builders.certified import CertifiedDaemon, certified
-from tests.builders.intruder import let_others_in
 from tests.builders.namespace import HERE
 from tests.builders.refusals import Refused
 from tests.builders.remote_operator import RemoteOperator
@@ -51,11 +50,6 @@ def opened(own: CertifiedDaemon, namespace: tuple[str, ...], tmp_path: pathlib.P
     yield start
     for person in people:
         person.close()
-
-
-@pytest.fixture(autouse=True)
-def reachable_folder(tmp_path: pathlib.Path) -> None:
-    let_others_in(tmp_path)
 
 
 def given(daemon: CertifiedDaemon) -> int:

@@ -22,7 +22,7 @@ from rigctl.ipc.trusted_folders import entered_folders
 from rigctl.recorder.audit_log import AuditLog
 from rigctl.wire.public_file import PUBLIC
 from tests.builders.daemons import name_of, rig_file
-from tests.builders.intruder import NOBODY, let_others_in
+from tests.builders.intruder import NOBODY
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
@@ -130,7 +130,6 @@ def test_a_link_in_place_of_an_output_file_or_log_is_not_followed(tmp_path: path
     victim.write_text("root's")
     folder = tmp_path / "open"
     folder.mkdir()
-    let_others_in(tmp_path)
     folder.chmod(0o777)
     part = folder / f".report.html.{os.getpid()}.part"
     assert as_nobody("ln", "-s", str(victim), str(part)).returncode == 0
@@ -148,7 +147,6 @@ def service(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     """The folder of an installed service, as its own user has it."""
     base = tmp_path / "run"
     base.mkdir(mode=0o755)
-    let_others_in(tmp_path)
     monkeypatch.setattr(layout, "RUN", base)
     monkeypatch.setattr(writers, "group_id", lambda _name: -1)  # the service may be installed on this computer
     runtime = Runtime.of("paper_rig", base)
