@@ -17,6 +17,8 @@ from rigctl.config.one_line import complaint
 
 # click's class; where typer keeps its click depends on typer's version.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
+_INTERRUPTED = 130
+"""What typer gives in place of the interruption."""
 
 
 def _show_version(wanted: bool) -> None:
@@ -75,4 +77,6 @@ def run(name: str, words: list[str]) -> int | None:
         return 2
     except typer.Abort:
         raise KeyboardInterrupt from None
+    if code == _INTERRUPTED:
+        raise KeyboardInterrupt
     return code

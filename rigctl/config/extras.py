@@ -28,9 +28,12 @@ def extra_of(module: str) -> str | None:
 
 @contextlib.contextmanager
 def refused(program: str) -> Iterator[None]:
-    """A block of which a missing extra ends the program with one line and exit code 2."""
+    """A block of which a missing extra, or Ctrl-C while modules are loaded, ends the program with one line."""
     try:
         yield
+    except KeyboardInterrupt:
+        sys.stderr.write(f"{program}: interrupted\n")
+        raise SystemExit(1) from None
     except ModuleNotFoundError as error:
         extra = extra_of(error.name or "")
         if extra is None:

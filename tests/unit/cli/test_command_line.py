@@ -12,12 +12,13 @@ import pytest
 import typer
 
 import rigctl
-from rigctl.cli import typer_app
+from rigctl.cli import run, typer_app
 from rigctl.cli.app import first_word
 from rigctl.cli.quick_hold import HoldWords, read_words
 from rigctl.cli.top_help import top_help
 from rigctl.cli.typer_app import program
 from rigctl.cli.verb_table import VERBS
+from rigctl.config import extras
 from tests.builders.waiting import patience_s
 from tests.conftest import Command
 
@@ -25,6 +26,22 @@ from tests.conftest import Command
 def test_it_says_its_version(in_process: Command) -> None:
     shown = in_process("rigctl", "--version")
     assert (shown.returncode, shown.stdout, shown.stderr) == (0, f"rigctl {rigctl.__version__}\n", "")
+
+
+def test_ctrl_c_ends_a_command_with_one_line(in_process: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(run, "load_rig_file", interrupt)
+    done = in_process("rigctl", "check", "config/paper_rig.yaml")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == "rigctl: interrupted; the rig goes on by itself\n"
+
+
+def test_ctrl_c_while_modules_are_loaded_is_one_line_too(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended, extras.refused("hil"):
+        raise KeyboardInterrupt
+    assert (ended.value.code, capsys.readouterr().err) == (1, "hil: interrupted\n")
 
 
 @pytest.mark.parametrize("verb", ["", *(row.name for row in VERBS)])
