@@ -33,16 +33,8 @@ class Mailbox:
         self._lock = threading.Lock()
         self._end: Callable[[], object] | None = None
         if session is not None:
-            self.subscribe(session)
-
-    def subscribe(self, session: zenoh.Session) -> None:
-        """Have a session fill it from now on."""
-        subscriber = session.declare_subscriber(self._key, self._take)
-
-        def end() -> None:
-            subscriber.undeclare()  # type: ignore[no-untyped-call]
-
-        self.on_close(end)
+            subscriber = session.declare_subscriber(self._key, self._take)
+            self._end = subscriber.undeclare
 
     def on_close(self, end: Callable[[], object] | None) -> None:
         """Have `close` call ``end``; if it is closed already, at once."""

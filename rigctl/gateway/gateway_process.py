@@ -48,6 +48,7 @@ from rigctl.gateway.streams import (
 )
 from rigctl.identity.key_folder import KeyFolderError
 from rigctl.ipc import heap, standard_output
+from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import Note, RequestLog
@@ -57,7 +58,6 @@ from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtim
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
-from rigctl.wire.public_file import PUBLIC, PublicFile
 from rigctl.wire.schema import schema
 from rigctl.wire.session import SessionError, close, finish, open_client
 from rigctl.wire.state_message import (
@@ -246,7 +246,7 @@ class Gateway:
         refuse_duplicate_name(keys, telemetry.join)
         self._session = self._admission.open_router(socket)
         runtime.let_operators_connect()
-        public = PublicFile(settings.rig, telemetry.listen, run_id, telemetry.join)
+        public = {"rig": settings.rig, "listen": telemetry.listen, "run_id": run_id, "join": telemetry.join}
         runtime.write_json(PUBLIC, public, PUBLIC_MODE)
         self._places = self._admission.places(self._session, socket)
         # Commands have a session of their own, so that congestion of the data cannot delay them.

@@ -15,7 +15,7 @@ from rigctl.ipc import writers
 
 ACTIVE = "active.json"
 PUBLIC, FORMER_PUBLIC = "public.json", "public_key.json"
-"""The public file, and its name in the version before, whose daemon may still run."""
+"""The public file, by which a client finds the daemon of an endpoint, and its name in the version before."""
 GATEWAY_SOCKET, COMMAND_SOCKET = "gateway.sock", "command.sock"
 LOCK = "lock"
 LONGEST_LOCK, _LARGEST_PID = 20, 1 << 22

@@ -29,6 +29,9 @@ class Daemon:
         self.put = put
         return self
 
+    def undeclare(self) -> None:
+        """It is the subscriber, too."""
+
     def message(self, source: str, seq: int) -> dict[str, Any]:
         return {
             "source": source, "seq": seq, "stream": self.stream, "kind": "X", "t_ns": seq, "wall_ns": seq,

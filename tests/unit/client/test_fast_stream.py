@@ -74,6 +74,9 @@ class Gateway:
         self.put = put
         return self
 
+    def undeclare(self) -> None:
+        """It is the subscriber, too."""
+
     def query(self, question: Question) -> tuple[bool, bytes] | None:
         self.queries += 1
         if self.silent:

@@ -12,8 +12,8 @@ import pytest
 from rigctl.client import route as routes
 from rigctl.client.route import Route
 from rigctl.config import layout
+from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.runtime_folder import Runtime
-from rigctl.wire.public_file import PUBLIC, PublicFile
 from tests.builders.waiting import until
 
 ENDPOINT, OTHER, STRANGER = "tcp/127.0.0.1:7447", "tcp/127.0.0.1:7448", 65534
@@ -29,7 +29,7 @@ def made(base: pathlib.Path, rig: str, listen: str = ENDPOINT, *join: str, socke
     """A daemon's folder with a socket on which nobody listens."""
     folder = base / f"rigctl-{rig}"
     folder.mkdir(mode=0o700)
-    Runtime(folder).write_json(PUBLIC, PublicFile(rig, listen, "run", list(join)))
+    Runtime(folder).write_json(PUBLIC, {"rig": rig, "listen": listen, "join": join})
     if sockets:
         for name in ("gateway.sock", "command.sock"):
             with socket.socket(socket.AF_UNIX) as one:
@@ -61,7 +61,7 @@ def test_of_the_installed_service_the_socket_is_in_the_gateways_folder(
     monkeypatch.setattr(layout, "RUN", base / "run")
     folder = base / "run" / "rigctl-one"
     (folder / "gateway").mkdir(parents=True)
-    Runtime(folder).write_json(PUBLIC, PublicFile("one", ENDPOINT, "run"))
+    Runtime(folder).write_json(PUBLIC, {"rig": "one", "listen": ENDPOINT})
     route = Route(ENDPOINT)
     assert (route.rig, leads_to(route)) == ("one", folder / "gateway")
     route.leave()
