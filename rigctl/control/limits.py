@@ -10,7 +10,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.config.signals import INCLINOMETER, STATUS, WATCHED, Reading
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.safety import ARMED, Action, Row, status_stale_ns
+from rigctl.control.safety import ARMED, UNHEARD_NS, Action, Row, status_stale_ns
 from rigctl.control.snapshot import FieldValue, Snapshot
 
 RATE_S = 0.02  # low-pass of a signal before its rate is taken
@@ -44,10 +44,17 @@ class SignalRate:
 
 
 def rows(settings: RigSettings) -> tuple[Row, ...]:
-    """A row per bound of each limit, in the rig file's order; then a row for each signal that may be missing."""
+    """A row per bound of each limit, in the rig file's order; then what is only logged or may be missing."""
     found = [row for limit in (*settings.limits, *_of_margins(settings)) for row in _rows_of(limit)]
     unseen = {(row.text, row.action, row.modes): row for limit in settings.limits for row in _unseen(limit, settings)}
-    return (*found, *unseen.values())
+    return (*found, *unseen.values(), _silent_bus(settings))
+
+
+def _silent_bus(settings: RigSettings) -> Row:
+    """While DISARMED a silent bus is no fault but put on record; a loop that has just started has no frame yet."""
+    age, words = FieldValue("bus_age_ns", 1e-6), "age in ms of the newest frame on the bus above"
+    limit_ms = settings.safety.bus_silent_ms
+    return Row(Fault.LIMIT, age, limit_ms, UNHEARD_NS, frozenset({Mode.DISARMED}), "ms", Action.LOG, words)
 
 
 def _of_margins(settings: RigSettings) -> list[LimitSettings]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import can
 import pytest
@@ -34,6 +35,24 @@ def told(rig: Lockstep) -> list[str]:
         for slot in rig.events.read()
         if slot["kind"] in (Kind.RECEIVE_FAILED, Kind.SEND_FAILED)
     ]
+
+
+def test_a_bus_that_is_silent_while_disarmed_is_on_record_until_a_frame_comes(rig: Lockstep) -> None:
+    rig.run(0.5)
+    rig.events.read()
+    rig.hub.tap = lambda _sender, _frame: ()
+    rig.run(2.0)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.DISARMED, Fault.NONE)
+    silent = [event for event in rig.events.read() if event["kind"] in (Kind.LIMIT, Kind.LIMIT_OVER)]
+    assert [limit(event) for event in silent] == ["limit: age in ms of the newest frame on the bus above 15 (1016)"]
+    rig.hub.tap = None
+    rig.run(0.1)
+    over = [event for event in rig.events.read() if event["kind"] == Kind.LIMIT_OVER]
+    assert [limit(event) for event in over] == ["limit: no longer age in ms of the newest frame on the bus above 15"]
+
+
+def limit(event: Any) -> str:
+    return worded(event["kind"], event["a"], event["b"], event["value"], event["limit"], event["text"].decode()).text
 
 
 @pytest.mark.parametrize(("down_s", "mode"), [(0.008, Mode.COMPENSATING), (0.2, Mode.FAULT)])
