@@ -1,6 +1,7 @@
-"""``--json`` of every command of ``python -m hil`` runs to its end, with numbers of numpy and figures that are none.
+"""Every command of ``python -m hil`` with every option runs to its end; what ``--json`` prints is JSON.
 
-What takes minutes is replaced by its result, where another test plays it; the rest is played small.
+The cases are held to the program's own catalogue. What takes minutes is replaced by its result, with numbers of numpy
+and figures that are none, or played by the test named for it; the rest is played small.
 """
 
 from __future__ import annotations
@@ -13,16 +14,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-import typer
 
 from hil.__main__ import app
 from hil.cli import files
-from hil.compare import equal_limits, random_rigs
+from hil.compare import equal_limits, front, random_rigs
 from hil.compare.equal_limits import EqualLimits, RunErrors
+from hil.compare.front import FrontPoint
 from hil.compare.random_rigs import RigRow
 from hil.compare.rivals import OURS
 from hil.compare.tuned_laws import TunedLaw
 from hil.faults import gateway_kills, kills, lockstep_rows
+from hil.faults.drawn import draw_file
+from hil.faults.drawn.draw import block_of, pair_of
 from hil.faults.gateway_kills import Figures
 from hil.faults.judge import FaultResult
 from hil.faults.kills import Kill
@@ -31,13 +34,33 @@ from hil.moves.repeated_moves import MoveFigures, RepeatedResult
 from hil.roll_back import study as roll_back
 from hil.roll_back.study import Moved
 from rigctl.config import rig_file
+from tests.builders.every_option import documents, ended_well, untried
 from tests.builders.paths import ROOT
 from tests.conftest import Command
 
 RIG = rig_file.load(ROOT / "config/paper_rig.yaml")
 RUN = random_rigs.scenario()
-ELSEWHERE = {"scenario": "test_scenario.py", "paper": "test_paper_study.py", "compare": "test_compare.py"}
-"""Commands whose own tests play them with ``--json``; compare without the options below."""
+ELSEWHERE = {
+    "tests/studies/test_paper_study.py": ("paper", "--json", "--plots"),
+    "tests/studies/test_compare.py": ("compare", "--only", "--controllers", "--json", "--plots", "--bound", "--rows"),
+    "tests/live/hil/test_serve.py": ("serve", "--truth"),
+    "tests/live/hil/test_inject.py": ("inject", "--for", "--end"),
+}
+"""By the test that plays them: a command and options."""
+PAPER = "config/paper_rig.yaml"
+SMALL = (
+    "--help",
+    "faults --list",
+    "inject --list",
+    f"fmu {PAPER} --out FOLDER/plant.fmu",
+    "scenario config/scenarios/jolt.yaml --plot FOLDER/jolt.svg --json",
+    f"faults {PAPER} --only cell_silent --mode HOLD --diagnosis FOLDER/windows --json",
+    "new rig mine --payload 20 --spring 6 --target 200 --speed 10 --stroke 100 --rate 1000 --bit-rate 1000000 "
+    "--cell-node 2 --inclinometer-node 3 --drive-node 4 --out FOLDER/mine --defaults",
+    f"faults {PAPER} --draw 1 --seed 3 --only 0 --rows FOLDER/rows.jsonl --json",
+    f"faults {PAPER} --replay FOLDER/draw.yaml --json",
+)
+"""Played as they are."""
 
 
 def fault_rows(_rig: Any, rows: Any, _advance: Any) -> list[FaultResult]:
@@ -69,27 +92,39 @@ PLAYED: dict[str, tuple[list[str], Patches]] = {
         [(gateway_kills, "play", lambda *_: Figures(1, np.float64(1.0), np.float64(1.1), 0, 9, 0, False))],
     ),
     "roll-back": (
-        [],
+        ["--draw", "1", "--seed", "2"],
         [(roll_back, "study", lambda *_: dict.fromkeys(roll_back.cases(1, 1), MOVED))],
     ),
-    "compare --equal-limits": (["--equal-limits"], [(equal_limits, "study", equal)]),
+    "compare --equal-limits": (["--equal-limits", "--designs", "1", "--quick"], [(equal_limits, "study", equal)]),
     "compare --random": (
-        ["--random", "1"],
+        ["--random", "1", "--seed", "2"],
         [(random_rigs, "study", lambda *_: [
             RigRow(0, OURS, 6.0, None, np.float64(1.5), 0.01, 30.0, 1.0, 1.5, 0.02, 0.002, 30.0, "COMPENSATING")])],
     ),
 }  # fmt: skip
 
 
-def with_json() -> set[str]:
-    commands = typer.main.get_group(app).commands
-    return {name for name, one in commands.items() if any("--json" in option.opts for option in one.params)}
+MOVES = ("moves", "--only", "--json", "--plots")
+FRONT = ("compare", "--front")
 
 
-def test_every_command_with_json_is_run() -> None:
-    assert with_json() == {*(name.split()[0] for name in PLAYED), *ELSEWHERE, "moves"}
-    for name, file in ELSEWHERE.items():
-        assert "--json" in (ROOT / "tests/studies" / file).read_text(), name
+def test_every_command_and_option_has_a_case() -> None:
+    played = [[name.split()[0], *words, "--json"] for name, (words, _) in PLAYED.items()]
+    assert untried(app, [*played, *map(str.split, SMALL), *ELSEWHERE.values(), MOVES, FRONT]) == []
+    for file, (_, *options) in ELSEWHERE.items():
+        text = (ROOT / file).read_text()
+        assert all(f'"{option}"' in text for option in options), file
+
+
+@pytest.mark.parametrize("case", SMALL)
+def test_a_command_played_small(in_process: Command, tmp_path: pathlib.Path, case: str) -> None:
+    if "draw.yaml" in case:
+        drawn, _, _, course = block_of(RIG, 3, 0)
+        draw_file.write(tmp_path / "draw.yaml", pair_of(3, 0, drawn, course), ())
+    done = in_process("hil", *case.replace("FOLDER", str(tmp_path)).split())
+    ended_well(done)
+    if "--json" in case:
+        assert documents(done.stdout)
 
 
 @pytest.mark.parametrize("name", PLAYED)
@@ -110,15 +145,22 @@ def test_json_is_printed_in_place_of_the_words_or_written_beside_them(
         assert json.loads(file.read_text()) == found
 
 
-def test_json_of_the_moves(in_process: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_json_of_the_moves(in_process: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path) -> None:
     chosen = repeated_moves.variants()[0]
     figures, t_s = MoveFigures(np.float64(1.0), np.float64(0.5)), np.arange(3.0)
     result = RepeatedResult((figures,) * chosen.moves, "COMPENSATING", t_s, (t_s,) * chosen.moves)
     found = dict.fromkeys(repeated_moves.pieces(RIG, [chosen]), result)
     monkeypatch.setattr(repeated_moves, "study", lambda *_: found)
-    printed = in_process("hil", "moves", "--only", chosen.name, "--json")
-    assert printed.returncode == 0, printed.stderr
+    printed = in_process("hil", "moves", "--only", chosen.name, "--json", "--plots", tmp_path / "plots")
+    ended_well(printed, (0,))
     assert json.loads(printed.stdout)
+
+
+def test_the_front_is_drawn(in_process: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path) -> None:
+    ours = [FrontPoint(OURS, limit, np.float64(1.5), 0.01, 0.4) for limit in (1.4, 1.6, None)]
+    monkeypatch.setattr(front, "points", lambda *_: ours)
+    ended_well(in_process("hil", "compare", "--front", tmp_path / "front.svg"), (0,))
+    assert (tmp_path / "front.svg").exists()
 
 
 def test_figures_are_plain_whatever_made_them() -> None:
