@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from random import Random
 from typing import NamedTuple
 
 import numpy as np
@@ -75,9 +76,11 @@ class HeldLevel:
 
 def measured(
     built: RigSettings, believed: RigSettings, gains: Gains, levels: Sequence[float] = (1.0,),
-    law: LawFactory | None = None,
+    law: LawFactory | None = None, late: float = 0.0,
 ) -> Peak:  # fmt: skip
     """The largest |S| over both places and the levels, of the law with these gains on the rig as built.
+
+    ``late``: every tick wakes late by 0 to so much of a period, drawn.
 
     Raises:
         ScenarioError: the rig does not get to COMPENSATING, or does not stay there.
@@ -85,6 +88,12 @@ def measured(
     calm = changed(built, {"tension_cell.noise_n": LESS_NOISE * built.tension_cell.noise_n})
     with lockstep(believed, gains, law=law, built=calm) as rig:
         bring_to_target(rig, believed.tension.target_n, SETTLING_S)
+        random, most_ns = Random(1), late * believed.loop.period_ns
+
+        def wake_late() -> None:
+            rig.clock.late_ns = round(most_ns * random.random())
+
+        rig.on_advance = wake_late
         return max((_at_level(rig, level) for level in levels), key=lambda peak: peak.ms)
 
 

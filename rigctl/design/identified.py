@@ -39,6 +39,7 @@ LEFT_OUT = {"payload_kg": 0.02, "gain": 0.001, "speed_age_s": 0.005, "backlash":
 command by 1 %, the age of the speed it reports by 2 ms. Backlash and noise are of no linear plant."""
 LEAST_RATIO = 0.002
 DAMPING_HALF = 0.5  # of the mechanism's damping found: it is less on another day
+LATE_PERIODS = 0.5  # a tick wakes late by 0 to nearly a period: so much about the delay that was found
 FIT_MAX = 2.0  # residuals over their standard deviation; a response beyond it is not of this model
 _ROWS = {
     "stiffness": "stiffness_n_mm",
@@ -234,7 +235,7 @@ def widened(found: Identified, settings: RigSettings) -> dict[str, Range]:
     floors = {
         "stiffness_n_mm": 0.01 * design.identified_stiffness_pct * found.stiffness_n_mm.value,
         "lag_s": 0.01 * design.identified_lag_pct * found.lag_s.value,
-        "delay_s": 0.001 * design.identified_delay_ms,
+        "delay_s": max(0.001 * design.identified_delay_ms, LATE_PERIODS / settings.loop.rate_hz),
     }
     figures = {name: getattr(found, name) for name in floors}
     if found.mechanism_n_mm is not None:

@@ -9,8 +9,10 @@ from hil.compare.equal_limits import Known, LoopLaw, tuning
 from hil.compare.identification import true_plant
 from hil.compare.measured_ms import measured
 from hil.compare.rivals import OURS
+from hil.faults.in_controller import MOST_LATE
 from hil.study.rows_file import RowsFile
 from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.plant_family import Family
@@ -31,6 +33,21 @@ def test_the_measured_peak_is_that_of_the_plant_as_built(keener: float, about: f
     peak = measured(RIG, RIG, gains)
     assert peak.error < 0.05
     assert abs(peak.ms - true) < peak.error + AGREES
+
+
+def test_ticks_that_wake_late_are_within_the_delays_that_the_design_allows_for() -> None:
+    """Each wakes late by another time, up to the most that leaves its work within its period."""
+    late_ms = MOST_LATE * 1e-6 * RIG.loop.period_ns
+    assert 2.0 * RIG.design.identified_delay_ms >= late_ms, "about its middle, the delay found by identification"
+    simulation = RIG.simulation
+    assert simulation is not None
+    scale = simulation.delay_scale + 1e-3 * RIG.design.identified_delay_ms / RIG.plant.command_delay_s
+    longer = changed(RIG, {"simulation.delay_scale": scale})
+    gains = design_and_check(RIG).gains
+    worst = judge(RIG, gains, family=Family("true", (true_plant(RIG), true_plant(longer)))).ms_max
+    peak = measured(RIG, RIG, gains, late=MOST_LATE)
+    assert peak.error < 0.05
+    assert peak.ms - peak.error < worst
 
 
 def test_a_loop_that_trips_while_it_is_measured_has_no_figure() -> None:
