@@ -11,6 +11,7 @@ from hil.faults.lockstep_run import Bench, by_start
 from hil.scenario.play import Advance, design
 from hil.study import runner
 from hil.study.runner import Work
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
@@ -42,7 +43,7 @@ def row_of(bench: Bench, fault: InjectedFault, mode: Mode) -> FaultResult:
     try:
         run, undisturbed = bench.play(fault, mode), bench.undisturbed(fault, mode)
         cut = bench.play_cut(fault, mode) if fault.against_cut else None
-        return judge(fault, mode, run, undisturbed, bench.settings, cut)
+        return judge(fault, mode, run, undisturbed, changed(bench.settings, dict(fault.around.change)), cut)
     except (RuntimeError, TimeoutError) as error:
         return FaultResult.unreached(fault.id, mode, fault.expected[mode], str(error))
 

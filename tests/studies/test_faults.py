@@ -144,6 +144,7 @@ PLAYED = [
     ("brake_stuck_open_parked", Mode.HOLD),
     ("brake_closes_late", Mode.FAULT),
     ("encoder_stuck_brake_slips_reset_arm", Mode.HOLD),
+    ("encoder_stuck_brake_slips_down_100_stiff", Mode.DISARMED),  # judged by its own spring
 ]
 """One row of each kind."""
 
