@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import logging
 import time
-from typing import Any
 
 import can
 
 from hil.hub import Receive
 from hil.wire import frame_of, message_of
+from rigctl.config.can_section import CanSettings
+from rigctl.devices import can_interface
 
 POLLS_PER_RETRY = 200
 _VANISHED = frozenset({errno.ENODEV, errno.ENXIO, errno.EBADF, errno.EPIPE, errno.ECONNRESET})
@@ -24,17 +24,14 @@ class BusLink:
     is opened again. Lost frames and errors are counted.
 
     Args:
-        interface: as in the rig file's ``can`` section, as are the next two.
-        channel: of that interface.
-        bitrate_bit_s: None where the interface has none.
+        settings: the rig file's ``can`` section.
         receive: gets each frame.
 
     Raises:
-        can.CanError, OSError, ValueError: the bus cannot be opened.
+        can_interface.OpenError: the bus cannot be opened.
     """
 
-    def __init__(self, interface: str, channel: str, bitrate_bit_s: int | None, receive: Receive) -> None:
-        logging.getLogger("can").setLevel(logging.CRITICAL)  # python-can would also print the errors it raises
+    def __init__(self, settings: CanSettings, receive: Receive) -> None:
         self.received = 0
         self.delivered = 0
         self.lost = 0
@@ -42,8 +39,8 @@ class BusLink:
         self.errors = 0
         self._polls_without = 0
         self._receive = receive
-        self._address: dict[str, Any] = {"interface": interface, "channel": channel, "bitrate": bitrate_bit_s}
-        self._bus: can.BusABC | None = can.Bus(**self._address)
+        self._settings = settings
+        self._bus: can.BusABC | None = can_interface.opened(settings)
 
     def poll(self, timeout_s: float) -> None:
         """Wait at most ``timeout_s`` for a frame, then receive all waiting frames."""
@@ -96,5 +93,5 @@ class BusLink:
         self._polls_without += 1
         if self._polls_without % POLLS_PER_RETRY:
             return
-        with contextlib.suppress(can.CanError, OSError):
-            self._bus = can.Bus(**self._address)
+        with contextlib.suppress(can_interface.OpenError):
+            self._bus = can_interface.opened(self._settings)

@@ -23,7 +23,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control import realtime
-from rigctl.devices import eds_file
+from rigctl.devices import can_interface, eds_file
 from rigctl.ipc import output_file
 from rigctl.ipc.service_manager import Watchdog, notify
 from rigctl.ipc.termination import ENDING, on_signals
@@ -148,8 +148,10 @@ class Service:
             if bus.interface == "rigsim":
                 hub = self.hub = Hub()
                 return HubServer(bus.channel, hub), hub.attach(self._on_frame).send
-            link = BusLink(bus.interface, bus.channel, bus.bitrate_bit_s, self._on_frame)
+            link = BusLink(bus, self._on_frame)
             return link, link.send
+        except can_interface.OpenError as error:
+            raise ServeError(f"{bus.interface}:{bus.channel}: {error}", 1) from None
         except (can.CanError, OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
             where = "" if str(bus.channel) in reason else f"{bus.interface}:{bus.channel}: "

@@ -52,7 +52,12 @@ def judge(can: CanSettings, shown: str) -> list[DoctorFinding]:
 
 def _without_kernel(can: CanSettings) -> DoctorFinding:
     if can.interface != "rigsim":
-        return good("can link", f"no kernel CAN: {can.interface}:{can.channel}")
+        from rigctl.devices import can_interface  # python-can takes 0.2 s to import
+
+        where = f"{can.interface}:{can.channel}"
+        if why := can_interface.lacking(can):
+            return fails("can link", f"{where} cannot be opened here: {why}", "an interface complete", "install it")
+        return good("can link", f"no kernel CAN: {where}")
     if pathlib.Path(can.channel).is_socket():
         return good("can link", f"no kernel CAN: simulated rig at {can.channel}")
     return warning("can link", f"no kernel CAN, and no simulated rig at {can.channel}", "one", "python -m hil serve")

@@ -119,9 +119,11 @@ def check(file: File, json: Json = False) -> None:
         from rigctl.design.in_use import design_in_use
 
         design = design_in_use(used)
+    lacking = _lacking(settings)
     if json:
         found = checking.as_dict(settings)
-        say_json({**found, "accepted": found["accepted"] and design.accepted, "design": design.as_dict()})
+        accepted = found["accepted"] and design.accepted and not lacking
+        say_json({**found, "accepted": accepted, "design": design.as_dict()})
     else:
         checking.show(settings, Console())
         checking.show_design(design, Console())
@@ -129,6 +131,19 @@ def check(file: File, json: Json = False) -> None:
         end(BAD, f"{file}: {checking.verdict(settings)}")
     if not design.accepted:
         end(BAD, f"{file}: {design.verdict()}")
+    if lacking:
+        end(BAD, f"{file}: can.interface: {settings.can.interface} cannot be opened on this computer: {lacking}")
+
+
+def _lacking(settings: RigSettings) -> str:
+    """What the interface of python-can lacks on this computer; nothing is opened."""
+    from rigctl.config.can_section import OWN
+
+    if settings.can.interface in OWN:
+        return ""
+    from rigctl.devices import can_interface
+
+    return can_interface.lacking(settings.can)
 
 
 def run(

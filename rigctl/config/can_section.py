@@ -9,7 +9,8 @@ from pydantic import Field, model_validator
 from rigctl.config.one_line import on_one_line
 from rigctl.config.settings_base import NodeId, Settings, require
 
-_OWN = frozenset({"socketcan", "rigsim"})
+OWN = frozenset({"socketcan", "rigsim"})
+"""Interfaces that need nothing beside this program and the kernel."""
 
 
 class CanSettings(Settings):
@@ -33,7 +34,7 @@ class CanSettings(Settings):
 
 def unknown_interface(can: CanSettings) -> str | None:
     """Why python-can has no such interface, in words; None: it has it."""
-    if can.interface in _OWN:
+    if can.interface in OWN:
         return None
     from can import VALID_INTERFACES  # python-can takes 0.2 s to import
 

@@ -28,8 +28,8 @@ from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.tension import Gains
+from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od
-from rigctl.devices import startup
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.hold_socket import give, socket_name
 from rigctl.ipc.ledger import in_force
@@ -58,13 +58,11 @@ def open_bus(settings: RigSettings) -> can.BusABC:
     Raises:
         StartupError: one line.
     """
-    where = f"{settings.can.interface}:{settings.can.channel}"
     try:
-        return can.Bus(
-            interface=settings.can.interface, channel=settings.can.channel, bitrate=settings.can.bitrate_bit_s
-        )
-    except (can.CanError, OSError, ValueError, NotImplementedError) as error:
-        raise startup.StartupError(f"{where} cannot be opened: {startup.bus_words(error, settings)}") from None
+        return can_interface.opened(settings.can)
+    except can_interface.OpenError as error:
+        where = f"{settings.can.interface}:{settings.can.channel}"
+        raise startup.StartupError(f"{where} cannot be opened: {error}") from None
 
 
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:

@@ -317,6 +317,27 @@ def test_no_rig_is_one_clear_line(tmp_path: pathlib.Path) -> None:
     assert "no simulated rig is served here" in on_record(file)[-1], "the cause is on record too"
 
 
+@pytest.mark.simulated_time
+def test_an_interface_of_python_can_that_lacks_something_is_one_line_of_check_doctor_and_run(
+    tmp_path: pathlib.Path,
+) -> None:
+    file = daemons.rig_file(tmp_path, {"can": {"interface": "socketcand", "channel": "can0"}})
+    for command in ("check", "run"):
+        answer = daemons.rigctl(command, str(file))
+        assert answer.returncode == 1
+        (line,) = answer.stderr.splitlines()
+        assert "'host'" in line and "~/.canrc" in line
+    found = daemons.rigctl("doctor", str(file), "--json").stdout
+    (link,) = [row for row in json.loads(found) if row["name"] == "can link"]
+    assert not link["ok"] and "'host'" in link["found"]
+    served = subprocess.run(
+        [sys.executable, "-m", "hil", "serve", str(file)],
+        capture_output=True, text=True, timeout=patience_s(), check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert (served.returncode, served.stderr.count("\n")) == (1, 1)
+    assert "'host'" in served.stderr
+
+
 def on_record(file: pathlib.Path) -> list[str]:
     """The lines of the audit log of the supervisor, the newest last."""
     return daemons.rigctl("audit", "show", str(file), "--what", "daemon").stdout.splitlines()

@@ -16,6 +16,7 @@ from hil.bus_link import POLLS_PER_RETRY, BusLink
 from hil.hub import Hub
 from hil.hub_server import HubServer
 from hil.wire import ERROR_FLAG, EXTENDED_FLAG, FRAME
+from rigctl.config.can_section import CanSettings
 from tests.builders.waiting import patience_s
 
 
@@ -157,7 +158,7 @@ def test_a_wait_on_the_twin_lets_simulated_time_pass_until_a_frame_has_come() ->
 def test_a_foreign_bus_carries_the_rigs_frames() -> None:
     """python-can's own in-process bus stands for SocketCAN, which this kernel may lack (see ``tests/guest``)."""
     heard: list[bytes] = []
-    link = BusLink("virtual", "hil-link", None, heard.append)
+    link = BusLink(CanSettings(interface="virtual", channel="hil-link", bitrate_bit_s=1_000_000), heard.append)
     with can.Bus(interface="virtual", channel="hil-link") as other:
         other.send(message(0x80))
         other.send(can.Message(arbitration_id=1, is_fd=True, data=bytes(12)))
@@ -174,7 +175,8 @@ def test_a_foreign_bus_carries_the_rigs_frames() -> None:
 
 
 def test_a_foreign_bus_that_vanished_is_opened_again(line: Line) -> None:
-    link = BusLink("rigsim", str(line.server.path), None, lambda _: None)
+    rigsim = CanSettings(interface="rigsim", channel=str(line.server.path), bitrate_bit_s=None)
+    link = BusLink(rigsim, lambda _: None)
     line.server.close()
     link.poll(0.0)
     link.send(frame(1))
