@@ -449,13 +449,26 @@ def _not_learnt(a: int, b: int, value: float, limit: float, text: str) -> Worded
     )
 
 
+def _limit(a: int, _b: int, value: float, limit: float, text: str) -> Worded:
+    """Of a row that is only logged: of a limit of the rig file, or of a fault in a mode that it does not trip in."""
+    fault = Fault(a)
+    heading = "limit" if fault is Fault.LIMIT else f"{fault.name} is active"
+    return Worded("warning", f"{heading}: {fault_text(fault, value, limit, text)}")
+
+
+def _limit_over(a: int, _b: int, value: float, limit: float, text: str) -> Worded:
+    fault, seen = Fault(a), math.isfinite(value)
+    if fault is not Fault.LIMIT:
+        return Worded("info", f"{fault.name} is {'cleared' if seen else 'not watched any more'}")
+    words = "no longer" if seen else "not watched any more:"
+    return Worded("info", f"limit: {words} {text} {limit:.10g}{_unit_of(text)}")
+
+
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.MODE: _mode,
     Kind.TRIP: _trip,
-    Kind.LIMIT: lambda a, _b, v, m, t: Worded("warning", f"limit: {fault_text(Fault(a), v, m, t)}"),
-    Kind.LIMIT_OVER: lambda _a, _b, v, m, t: Worded(
-        "info", f"limit: {'no longer' if math.isfinite(v) else 'not watched any more:'} {t} {m:.10g}{_unit_of(t)}"
-    ),
+    Kind.LIMIT: _limit,
+    Kind.LIMIT_OVER: _limit_over,
     Kind.CAUSE: lambda a, _b, v, m, t: Worded("error", f"{Fault(a).name} is active: {fault_text(Fault(a), v, m, t)}"),
     Kind.CAUSE_OVER: lambda a, _b, _v, _m, t: Worded("info", f"{Fault(a).name} is cleared{t and f': {t}'}"),
     Kind.RESET: lambda a, _b, _v, _l, _t: Worded("info", f"fault {Fault(a).name} reset"),

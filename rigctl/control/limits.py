@@ -52,9 +52,10 @@ def rows(settings: RigSettings) -> tuple[Row, ...]:
 
 def _silent_bus(settings: RigSettings) -> Row:
     """While DISARMED a silent bus is no fault but put on record; a loop that has just started has no frame yet."""
-    age, words = FieldValue("bus_age_ns", 1e-6), "age in ms of the newest frame on the bus above"
-    limit_ms = settings.safety.bus_silent_ms
-    return Row(Fault.LIMIT, age, limit_ms, UNHEARD_NS, frozenset({Mode.DISARMED}), "ms", Action.LOG, words)
+    limit_ns = settings.safety.bus_silent_ms * 1_000_000
+    return Row(
+        Fault.BUS_SILENT, FieldValue("bus_age_ns"), limit_ns, UNHEARD_NS, frozenset({Mode.DISARMED}), "ns", Action.LOG
+    )
 
 
 def _of_margins(settings: RigSettings) -> list[LimitSettings]:

@@ -74,6 +74,8 @@ class Alarm:
     """Active; else cleared, or not ``watched``."""
     watched: bool = True
     """False: it was active when it was last looked at, and the present mode does not look, or has no value."""
+    logged: bool = False
+    """Of a limit that is only logged; the state does not name such causes."""
     latched: bool = False
     """Cleared, and its fault is still latched until a reset."""
     acknowledged: str = ""
@@ -178,7 +180,9 @@ def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
         priority = Priority.URGENT
     value, limit = ("" if kind == "ESCALATION" else figure(fault, name, event.get(name), about)
                     for name in ("value", "limit"))  # fmt: skip
-    return Alarm(cause, priority, text, fault.remedy, at, at, value=value, limit=limit, onsets_ns=(at,))
+    return Alarm(
+        cause, priority, text, fault.remedy, at, at, value=value, limit=limit, logged=kind == "LIMIT", onsets_ns=(at,)
+    )
 
 
 class Alarms:
@@ -283,7 +287,7 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
         is_latched = tripped == latched and why.startswith(about)
         if name not in rows and not is_latched:
             continue
-        if tripped in Fault.__members__ and row.priority < Priority.LOW:
+        if tripped in Fault.__members__ and row.priority < Priority.LOW and not row.logged:
             active = tripped in named
             result[name] = replace(
                 row,

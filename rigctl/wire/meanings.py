@@ -68,7 +68,7 @@ KINDS: dict[Kind, str] = {
     Kind.CREEP: "creep of the cell taken out from now on; a: 1 the load's history is known, 0 it is taken as always "
     "the present load, value: whole share of the load, text: shares and time constants in s",
     Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
-    Kind.LIMIT: "a limit of the rig file that only logs is exceeded; a: fault, b: action, value, limit",
+    Kind.LIMIT: "a limit that only logs is exceeded; a: fault (LIMIT: of the rig file), b: action, value, limit",
     Kind.LIMIT_OVER: "such a limit is kept again; as limit, value: null where it is not watched any more",
     Kind.CAUSE: "a further cause of a fault stands; as trip",
     Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",

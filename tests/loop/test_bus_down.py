@@ -44,11 +44,11 @@ def test_a_bus_that_is_silent_while_disarmed_is_on_record_until_a_frame_comes(ri
     rig.run(2.0)
     assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.DISARMED, Fault.NONE)
     silent = [event for event in rig.events.read() if event["kind"] in (Kind.LIMIT, Kind.LIMIT_OVER)]
-    assert [limit(event) for event in silent] == ["limit: age in ms of the newest frame on the bus above 15 (1016)"]
+    assert [limit(event) for event in silent] == ["BUS_SILENT is active: no frame on the bus for 1016 ms (limit 15 ms)"]
     rig.hub.tap = None
     rig.run(0.1)
     over = [event for event in rig.events.read() if event["kind"] == Kind.LIMIT_OVER]
-    assert [limit(event) for event in over] == ["limit: no longer age in ms of the newest frame on the bus above 15"]
+    assert [limit(event) for event in over] == ["BUS_SILENT is cleared"]
 
 
 def limit(event: Any) -> str:

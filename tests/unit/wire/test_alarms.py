@@ -150,6 +150,26 @@ def test_a_limit_that_is_not_watched_any_more_is_not_cleared() -> None:
     assert row.condition == "cleared"
 
 
+def test_a_bus_silent_while_disarmed_is_the_alarm_of_its_fault() -> None:
+    """The state names no cause of a row that is only logged, also after the fault has tripped in an armed mode."""
+    begins = event(Kind.LIMIT, 3, Fault.BUS_SILENT, Action.LOG, 1016e6, 15e6)
+    ends = event(Kind.LIMIT_OVER, 5, Fault.BUS_SILENT, Action.LOG, 15e6, 15e6)
+    assert (begins["text"], begins["severity"]) == (
+        "BUS_SILENT is active: no frame on the bus for 1016 ms (limit 15 ms)", "warning",
+    )  # fmt: skip
+    assert ends["text"] == "BUS_SILENT is cleared"
+    left = event(Kind.LIMIT_OVER, 5, Fault.BUS_SILENT, Action.LOG, math.nan, 15e6)
+    assert left["text"] == "BUS_SILENT is not watched any more"
+    for before in ((), (trip(0, Fault.BUS_SILENT), over(1, Fault.BUS_SILENT))):
+        alarms = Alarms([*before, begins])
+        (row,) = alarms.rows(CALM | {"mode": "DISARMED"}, 4 * S)
+        assert (row.cause, row.condition, row.value, row.limit) == ("BUS_SILENT", "active", "1016 ms", "15 ms")
+        assert row.text == "no frame on the bus for 1016 ms (limit 15 ms)"
+        assert row.remedy == Fault.BUS_SILENT.remedy
+        alarms.note(ends)
+        assert alarms.rows(CALM | {"mode": "DISARMED"}, 6 * S)[0].condition == "cleared"
+
+
 def test_a_cause_that_no_event_has_ended_and_no_state_names_is_not_watched() -> None:
     (row,) = Alarms([trip(0)]).rows(CALM, S)
     assert row.condition == "not watched"
