@@ -84,18 +84,26 @@ def answered(data: bytes | bytearray) -> tuple[int, int] | None:
 
 
 def upload_answer(data: bytes | bytearray, size: int) -> UploadAnswer:
-    """Content of such an answer, for an object of ``size`` bytes."""
+    """Content of such an answer, for an object of ``size`` bytes; a longer value is cut only where it is padded.
+
+    A device may extend a value to four bytes, by zeros or by its sign.
+    """
     (value,) = _VALUE.unpack_from(data, 4)
     if data[0] & _SPECIFIER == _ABORT:
         return UploadAnswer(abort=value or 1)
     if not data[0] & _EXPEDITED:
         return UploadAnswer(expedited=False)
-    return UploadAnswer(value & (1 << 8 * _used(data, size)) - 1)
+    used, bits = _used(data, size), 8 * size
+    value &= (1 << 8 * used) - 1
+    sign = value >> bits - 1
+    if used > size and sign == (1 << 8 * used - bits + 1) - 1:
+        value &= (1 << bits) - 1
+    return UploadAnswer(value)
 
 
 def _used(data: bytes | bytearray, size: int) -> int:
-    """Bytes of an expedited transfer that hold the value, at most ``size``."""
-    return min(size, SIZE // 2 - (data[0] >> 2 & 3)) if data[0] & _SIZED else size
+    """Bytes of an expedited transfer that hold the value; ``size`` where the transfer has no length."""
+    return SIZE // 2 - (data[0] >> 2 & 3) if data[0] & _SIZED else size
 
 
 def multiplexer(data: bytes | bytearray) -> tuple[int, int] | None:
