@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ipaddress
+import os
 import re
 import socket
 from typing import NamedTuple
@@ -13,8 +14,11 @@ _HOST_NAME = re.compile(rf"(?=.{{1,253}}\Z){_LABEL}(?:\.{_LABEL})*")
 _HEADER = re.compile(r"(\[[0-9a-f:.%]+\]|[^:\[\]]+)(:[0-9]{1,5})?")  # Host, lower case: the host, and a port
 NETWORK_PROTOCOLS = ("tcp", "tls")
 """Protocols of endpoints that have an address."""
+LONGEST_PATH_BYTES = 107
+"""Of a Unix socket's path: ``sun_path`` of Linux, without the zero at its end."""
 EVERY_ADDRESS = {"0.0.0.0": "127.0.0.1", "::": "::1"}
 """Hosts that stand for every interface, and a host of this computer for each."""
+PATH_ALLOWED = f"a socket's path of at most {LONGEST_PATH_BYTES} bytes"
 HOST_ALLOWED = "a host name (letters, digits, - and .) or an IP address, without port"
 ALLOWED = "HOST:PORT, e.g. 127.0.0.1:8080 or [::1]:8080"
 
@@ -91,6 +95,11 @@ def is_address(text: str) -> bool:
     except AddressError:
         return False
     return True
+
+
+def is_socket_path(text: str) -> bool:
+    """Whether the path of a Unix socket is short enough."""
+    return len(os.fsencode(text)) <= LONGEST_PATH_BYTES
 
 
 def is_host(text: str) -> bool:

@@ -6,6 +6,7 @@ import difflib
 
 from pydantic import Field, model_validator
 
+from rigctl.config import address
 from rigctl.config.one_line import on_one_line
 from rigctl.config.settings_base import NodeId, Settings, require
 
@@ -29,6 +30,8 @@ class CanSettings(Settings):
     def _bit_rate_is_known(self) -> CanSettings:
         known = self.bitrate_bit_s is not None or self.interface == "rigsim"
         require(known, "bitrate_bit_s", None, "a bit rate (null is for interface rigsim only)")
+        fits = self.interface != "rigsim" or address.is_socket_path(self.channel)
+        require(fits, "channel", self.channel, address.PATH_ALLOWED)
         return self
 
 

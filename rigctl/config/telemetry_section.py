@@ -41,6 +41,8 @@ class TelemetrySettings(Settings):
         protocol, _, where = self.listen.partition("/")
         if protocol in address.NETWORK_PROTOCOLS:
             require(address.is_address(where), "listen", self.listen, f"{protocol}/HOST:PORT")
+        else:
+            require(address.is_socket_path(where), "listen", self.listen, address.PATH_ALLOWED)
         if self.tls is None:
             require(protocol != "tls", "listen", self.listen, "tcp/HOST:PORT, or a section telemetry.tls too")
         else:

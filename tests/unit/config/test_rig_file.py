@@ -142,6 +142,13 @@ def test_a_rail_encoder_and_a_table_that_do_not_fit_are_refused(
             "x'",
             "1 to 100 characters",
         ),
+        (
+            "channel: /tmp/rigctl-paper_rig.sock",
+            f"channel: /tmp/{'ü' * 52}",
+            "can.channel",
+            "ü",
+            "at most 107 bytes",
+        ),
         ("interface: rigsim", "interface: rigsm", "can.interface", "rigsm (rigsim?)", "of python-can: canalystii, "),
         ("interface: rigsim", "interface: SocketCAN", "can.interface", "SocketCAN", "of python-can: "),
         ("spin_us: 80", "rate_hz: 60", "loop.rate_hz", "the key twice", "once"),

@@ -51,6 +51,7 @@ def test_what_nobody_unknown_can_reach_is_taken(tmp_path: pathlib.Path, telemetr
         ({"listen": "quic/127.0.0.1:7447"}, "telemetry.listen: found 'quic/127.0.0.1:7447', expected"),
         ({"listen": "udp/127.0.0.1:7447"}, "telemetry.listen: found 'udp/127.0.0.1:7447', expected"),
         ({"listen": "tls/127.0.0.1:7447"}, "or a section telemetry.tls too"),
+        ({"listen": f"unixsock-stream//tmp/{'ü' * 52}"}, "expected a socket's path of at most 107 bytes"),
         ({"tls": {"keys": "keys"}}, "expected tls/HOST:PORT, as there is a section telemetry.tls"),
         (TLS | WAIVER, "telemetry.listen_waiver: found"),
         (TLS | {"join": ["tcp/127.0.0.1:7448"]}, "telemetry.join: found"),
