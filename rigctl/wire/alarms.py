@@ -24,6 +24,8 @@ CHATTERING_TIMES = 3
 CHATTERING_NS = 60_000_000_000
 """An alarm that came ``CHATTERING_TIMES`` within this time chatters (ISA-18.2)."""
 LONGEST_SHELF_S = 8 * 3600
+LASTS_NS = 2_500_000_000
+"""Of an event that the loop repeats each second while its cause is there: without another one it is over."""
 LOOP_SILENT = "LOOP_SILENT"
 NOT_WATCHED = "not watched"
 _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
@@ -116,6 +118,7 @@ _OTHERS: dict[str, tuple[Priority, Fault]] = {
     "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
     "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
 }
+_REPEATED = ("BUS_ERROR", "SEND_FAILED", "RECEIVE_FAILED")
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
@@ -156,6 +159,11 @@ def cause_of(event: dict[str, Any]) -> str:
     if kind == "EMERGENCY":
         return f"EMERGENCY node {event.get('a')}"
     return str(kind) if kind in _OTHERS else ""
+
+
+def _lasts(row: Alarm, at_ns: int) -> bool:
+    """Whether a failure that the loop reports each second is there at ``at_ns``."""
+    return row.cause in _REPEATED and at_ns - row.last_ns <= LASTS_NS
 
 
 def _is_nan(value: Any) -> bool:
@@ -217,7 +225,7 @@ class Alarms:
         old = self._rows.pop(new.cause, None)  # the newest row stands last, so that the oldest makes room
         if old is not None:
             # While it stands, a cause that trips as well is no second time.
-            again = not (old.stands and new.stands)
+            again = not (old.stands and new.stands) and not _lasts(old, new.last_ns)
             new = replace(
                 new, priority=min(old.priority, new.priority), first_ns=old.first_ns, count=old.count + again,
                 shelf=old.shelf, onsets_ns=(*old.onsets_ns, *([new.last_ns] if again else []))[-CHATTERING_TIMES:],
@@ -248,9 +256,13 @@ class Alarms:
 
         The row of the latched fault is before those that follow from it.
         """
-        rows = {cause: row for cause, row in self._rows.items() if row.is_open}
+        alive = state is not None and state.get("loop_alive")
+        at_ns = int((state or {}).get("wall_ns") or 0) if alive else 0  # by the clock of the events
+        looked = {cause: replace(row, stands=True) if _lasts(row, at_ns or now_ns) else row
+                  for cause, row in self._rows.items()}  # fmt: skip
+        rows = {cause: row for cause, row in looked.items() if row.is_open}
         if state is not None:
-            rows = _as_the_state_says(rows, self._rows, state)
+            rows = _as_the_state_says(rows, looked, state)
         latched = str((state or {}).get("fault") or "")
         return sorted(
             (row for row in rows.values() if row.is_open),

@@ -170,6 +170,21 @@ def test_a_bus_silent_while_disarmed_is_the_alarm_of_its_fault() -> None:
         assert alarms.rows(CALM | {"mode": "DISARMED"}, 6 * S)[0].condition == "cleared"
 
 
+@pytest.mark.parametrize("kind", [Kind.BUS_ERROR, Kind.SEND_FAILED, Kind.RECEIVE_FAILED])
+def test_a_bus_that_fails_on_is_one_active_alarm_until_a_second_without_a_failure(kind: Kind) -> None:
+    """The loop reports it at most once a second; the state's own clock says whether it lasts."""
+    alarms = Alarms([event(kind, at, 0x40, about="the rig has gone") for at in range(40)])
+    lasts, over = ({**CALM, "wall_ns": round(at * S)} for at in (39.9, 42.0))
+    (row,) = alarms.rows(lasts, 99 * S)
+    assert (row.condition, row.count, row.chatters(99 * S), row.first_ns) == ("active", 1, False, 0)
+    (row,) = alarms.rows(over, 99 * S)
+    assert row.condition == "cleared"
+    (row,) = [row for row in alarms.rows({**lasts, "loop_alive": False}, 99 * S) if row.cause == kind.name]
+    assert row.condition == "cleared", "a loop that has ended reports nothing"
+    alarms.note(event(kind, 50, 0x40, about="the rig has gone"))
+    assert alarms.rows({**CALM, "wall_ns": 50 * S}, 99 * S)[0].count == 2
+
+
 def test_a_cause_that_no_event_has_ended_and_no_state_names_is_not_watched() -> None:
     (row,) = Alarms([trip(0)]).rows(CALM, S)
     assert row.condition == "not watched"
