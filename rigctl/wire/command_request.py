@@ -249,7 +249,13 @@ _DONE = {
 }
 
 
+_ANEW = "the loop ends, and the next one starts all devices up; it is DISARMED once they answer"
+"""To a RESET of the silence, which leaves the fault to the loop that ends."""
+
+
 def _done(verb: Verb, mode: Mode, value: float, newest: NewestRecord) -> str:
+    if verb is Verb.RESET and mode is Mode.FAULT:
+        return _ANEW
     return _DONE[verb].format(
         mode=mode.name,
         latched=", the fault stays latched" if mode is Mode.FAULT else "",

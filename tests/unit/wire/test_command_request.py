@@ -122,6 +122,14 @@ def test_the_answer_to_what_takes_the_load_back_says_so_with_its_time(verb: Verb
     assert "brake" not in answer(Request(verb, "kim"), without, NewestRecord(target_n=300.0), LIMITS)["text"]
 
 
+def test_a_reset_that_leaves_the_fault_to_a_loop_that_ends_says_so() -> None:
+    reply = reply_of(accepted=True, reason=0, checks=0, mode=int(Mode.FAULT))
+    text = answer(Request(Verb.RESET, "kim"), reply, NewestRecord(), LIMITS)["text"]
+    assert text == "RESET: the loop ends, and the next one starts all devices up; it is DISARMED once they answer"
+    reply = reply_of(accepted=True, reason=0, checks=0, mode=int(Mode.HOLD))
+    assert answer(Request(Verb.RESET, "kim"), reply, NewestRecord(), LIMITS)["text"] == "RESET: fault cleared, HOLD"
+
+
 def test_arm_at_an_end_is_an_option_of_arm_alone_and_reaches_the_loop() -> None:
     payload = msgspec.json.encode({"operator": "kim", "near_end": True})
     assert parse(Verb.ARM, payload).number == 1.0
