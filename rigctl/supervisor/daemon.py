@@ -496,7 +496,7 @@ class Supervisor:
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
-        code, how = (1, _INTERRUPTED) if last is None else _ending(last, clean)
+        code, how = (1, _INTERRUPTED) if last is None else _ending(last, clean, time.monotonic_ns())
         if self._folder_lost:
             code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
@@ -529,12 +529,16 @@ class Supervisor:
                 child.process.wait()
 
 
-def _ending(last: np.void, clean: bool) -> tuple[int, str]:
+def _ending(last: np.void, clean: bool, now_ns: int) -> tuple[int, str]:
     """Exit code and one line on the state the rig was left in; ``last``: its newest record."""
-    if not clean:
-        return 1, "the loop did not stop by itself; the drive holds by its own supervision"
     mode = Mode(int(last["mode"])).name
     where = f"stroke {last['stroke_mm']:z.2f} mm, tension {last['tension_n']:z.1f} N"
+    if not clean:
+        since_s = (now_ns - int(last["t_ns"])) * 1e-9
+        return 1, (
+            f"no loop has stopped in order: the last one was in {mode} {since_s:.0f} s ago, last seen {where}; "
+            "the brake was not seen to close, and the drive is left to its own supervision"
+        )
     if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
         return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
     return 0, f"stopped in {mode}: {where}, brake closed"
