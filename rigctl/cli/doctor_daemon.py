@@ -61,6 +61,25 @@ _OF_FITTED = {
     "second_force": Check.SECOND_FORCE | Check.FORCES_DISAGREE,
 }
 """Checks of a section, or of a key in it, that not every rig file has."""
+_SEEN_BY: dict[Check, Check] = {
+    **dict.fromkeys(
+        (Check.CELL_INVALID, Check.CELL_IMPLAUSIBLE, Check.CELL_ZERO, Check.TENSION_HIGH), Check.CELL_STALE
+    ),
+    Check.FORCES_DISAGREE: Check.SECOND_FORCE,
+    Check.INCLINATION_INVALID: Check.INCLINATION_STALE,
+    **dict.fromkeys(
+        (
+            Check.DRIVE_FAULT, Check.DRIVE_REFUSES, Check.SEQUENCE_RUNNING, Check.NOT_AT_STANDSTILL, Check.STROKE_RANGE,
+            Check.STROKE_NEAR_END, Check.STROKE_UNCONFIRMED,
+        ), Check.DRIVE_STALE,
+    ),
+    Check.DRIVE_SUPERVISION: Check.NODE_NOT_OPERATIONAL,
+    Check.EMERGENCY: Check.NODE_NOT_OPERATIONAL,
+    Check.E_STOP: Check.E_STOP_UNSEEN,
+    Check.E_STOP_IO: Check.E_STOP_IO_UNSEEN,
+    Check.ENABLE_IGNORED: Check.E_STOP_IO_UNSEEN,
+}  # fmt: skip
+"""By a check: the one whose failure leaves it without anything seen, so that it is not known."""
 WITHOUT_DAEMON = (Check.CALIBRATION, Check.TARE, Check.DISK, Check.MARGINS)
 
 
@@ -103,6 +122,9 @@ def _check(check: Check, failing: Mapping[str | None, str], waived: Mapping[str 
         return fails(title, found, title.partition(": ")[2], fix)
     if words := waived.get(check.name):
         return warning(title, f"not so, waived: {words}", title.partition(": ")[2])
+    by = _SEEN_BY.get(check)
+    if by is not None and by.name in failing:
+        return warning(title, f"not known: {failing[by.name].partition(': ')[0]}", title.partition(": ")[2])
     return good(title, "yes")
 
 

@@ -207,6 +207,21 @@ def test_a_running_daemons_preflight_is_shown_line_by_line() -> None:
     assert sum(finding.severity is OK for finding in others) == len(set(Check) - not_fitted) - 2
 
 
+def test_what_a_silent_device_would_show_is_not_known() -> None:
+    """Without a drive status nobody has seen that the drive is off, or that it has no fault."""
+    names = ("CELL_STALE", "INCLINATION_STALE", "DRIVE_STALE", "NODE_NOT_OPERATIONAL", "E_STOP_UNSEEN")
+    state = {"loop_alive": True, "mode": "DISARMED", "preflight": {"failing": {n: Check[n].words for n in names}}}
+    active = {"version": "0", "settings": RIG.model_dump(mode="json")}
+    found = {finding.name: finding for finding in doctor_daemon.running(state, active, RIG)}
+    for title in (
+        "drive: off, brake closed", "drive: no fault", "stroke: stands still", "cell: plausible", "inclination: valid",
+        "tension: below its limit", "devices: no emergency", "emergency stop: released",
+    ):  # fmt: skip
+        assert (found[title].severity, found[title].found.partition(": ")[0]) == (WARNING, "not known"), title
+    assert found["drive: off, brake closed"].found == "not known: no fresh drive status"
+    assert found["disk: room to write"].severity is OK
+
+
 def test_a_rigs_io_node_has_lines_of_its_own_and_only_where_one_is_fitted() -> None:
     words = Check.E_STOP_IO_UNSEEN.words
     state = {"loop_alive": True, "mode": "DISARMED", "preflight": {"failing": {"E_STOP_IO_UNSEEN": words}}}
@@ -217,7 +232,7 @@ def test_a_rigs_io_node_has_lines_of_its_own_and_only_where_one_is_fitted() -> N
         found = {finding.name: finding for finding in doctor_daemon.running(state, active, None)}
         assert [name for name in found if name in titles] == shown
     released, seen = (found[title] for title in titles)
-    assert released.severity is OK
+    assert (released.severity, released.found) == (WARNING, f"not known: {seen.found}")
     assert (seen.severity, seen.found) == (FAILS, "emergency stop's input on the I/O node is not seen")
     assert seen.fix == "check the node's power and cable"
     silent = doctor_daemon.running({"loop_alive": False}, active, None)
