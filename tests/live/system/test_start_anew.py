@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import pathlib
 import subprocess
 import sys
@@ -27,6 +28,30 @@ def inject(rig: Running, *words: str) -> None:
 
 def control_pid(rig: Running) -> int:
     return int(Runtime.of(daemons.name_of(rig.file)).known("control.json")["pid"])
+
+
+def test_without_a_bus_the_reset_says_what_it_does_and_the_end_what_was_seen(tmp_path: pathlib.Path) -> None:
+    patient = {"sdo_timeout_ms": 5000}
+    changes = {"can": {"boot_wait_s": 60.0}} | dict.fromkeys(("tension_cell", "inclinometer", "cylinder"), patient)
+    file, log = daemons.slow_rig_file(tmp_path, changes), tmp_path / "daemon.log"
+    with daemons.simulated_rig(file, tmp_path / "rig.log") as served, daemons.daemon(file, log) as daemon:
+        rig = Running(file, daemon, served, log)
+        rig.do("arm")
+        rig.rig.kill()
+        until(lambda: "UNCONFIRMED" in str(daemons.state(rig.file).get("power_off")), log=rig.log)
+        doctor = {row["name"]: row for row in json.loads(daemons.rigctl("doctor", "--json", file=rig.file).stdout)}
+        assert doctor["drive: off, brake closed"]["found"] == "not known: no fresh drive status"
+        alarms = json.loads(daemons.rigctl("alarms", "--json", file=rig.file).stdout)
+        failing = {row["cause"]: (row["stands"], row["count"]) for row in alarms}
+        assert failing["SEND_FAILED"] == failing["RECEIVE_FAILED"] == (True, 1)
+        assert "not confirmed" in rig.refused("disarm")
+        assert rig.do("reset").startswith("RESET: the loop ends, and the next one starts all devices up; ")
+        until(lambda: "control process could not start" in rig.log.read_text(), log=rig.log)
+        rig.daemon.terminate()
+        assert rig.daemon.wait(patience_s()) == 1
+        last = rig.log.read_text().splitlines()[-1]
+    assert "WARNING: no loop has stopped in order: the last one was in FAULT" in last
+    assert "the brake was not seen to close" in last
 
 
 def test_a_reset_of_the_silence_starts_all_devices_up_again(tmp_path: pathlib.Path) -> None:
