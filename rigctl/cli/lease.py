@@ -71,7 +71,7 @@ def lease(
 
 
 def _ask(client: Client, act: LeaseTask, operator: str, reason: str) -> dict[str, Any]:
-    operator = client.person or operator
+    operator = client.operator(operator)
     kept = _show(client, operator)
     if act is LeaseTask.TAKE:
         answer = client.take_lease(operator, reason)
@@ -89,10 +89,9 @@ def give(
     """Give a command under the lease that this operator's terminals on this machine share; returns the answer.
 
     A free lease is taken and its id stored before the command is given, so that the next terminal can use it if this
-    one dies. A lapsed lease is taken again, since a person who types a command watches the rig. With a certificate the
-    operator is the person it names.
+    one dies. A lapsed lease is taken again, since a person who types a command watches the rig.
     """
-    operator = client.person or operator
+    operator = client.operator(operator)
     kept = _show(client, operator)
     if verb != "hold" and operator not in client.leases:
         _take(client, operator, kept)

@@ -1,4 +1,4 @@
-"""The operator's name, as every command gives it."""
+"""The name that is added to the user's own, as every command gives it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,5 @@ import os
 
 
 def operator_name(given: str | None) -> str:
-    """The name given, else ``RIGCTL_OPERATOR``, else the login name."""
-    if given := given or os.environ.get("RIGCTL_OPERATOR"):
-        return given.encode(errors="replace").decode()
-    import getpass
-
-    try:
-        return getpass.getuser()
-    except (KeyError, OSError):  # there is no login name, as in a bare container
-        return f"uid {os.getuid()}"
+    """The name given, else ``RIGCTL_OPERATOR``; empty for the user's own."""
+    return (given or os.environ.get("RIGCTL_OPERATOR", "")).encode(errors="replace").decode()

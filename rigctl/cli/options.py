@@ -38,7 +38,7 @@ Rig = Annotated[
 ]
 Operator = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Who gives the command [RIGCTL_OPERATOR, login name].", callback=_said),
+    typer.Option(metavar="NAME", help="Who gives the command, beside the user [RIGCTL_OPERATOR].", callback=_said),
 ]
 
 

@@ -46,6 +46,7 @@ from rigctl.wire.keys import Keys
 from rigctl.wire.lease import ACTS, LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 from rigctl.wire.socket_message import COMMAND, STATE
+from rigctl.wire.user_name import user_name, with_user
 
 _AGAIN_S = 0.05
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
@@ -256,6 +257,10 @@ class Client:
         """Name of the rig."""
         return self.keys.rig
 
+    def operator(self, given: str = "") -> str:
+        """The name by which the daemon knows who commands here: the certificate's, or that of this user."""
+        return self.person or with_user(given, user_name(os.geteuid()))
+
     def ask(
         self,
         selector: str,
@@ -384,7 +389,7 @@ class Client:
         """Give the lease back. See `command`."""
         answer = self._commanded(LeaseAct.RETURN.value, operator, {})
         if answer["accepted"]:
-            self.leases.pop(self.person or operator, None)
+            self.leases.pop(self.operator(operator), None)
         return answer
 
     def decide_alarm(
@@ -396,9 +401,9 @@ class Client:
         return self._commanded(act.value, operator, body)
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
-        operator = self.person or operator
+        operator, given = self.operator(operator), operator
         if name == _HOLD and not self.person:
-            held = local_hold.hold(self.endpoint, self.rig, operator)
+            held = local_hold.hold(self.endpoint, self.rig, given)
             if held is not None:
                 return held
         body = {"operator": operator} | body | ({"run_id": self._run_id} if self._run_id is not None else {})

@@ -13,6 +13,7 @@ from typing import Any
 from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
 from rigctl.ipc import hold_socket
 from rigctl.ipc.folder_places import FolderPlaces
+from rigctl.wire.user_name import user_name, with_user
 
 ANSWER_S = 1.0  # sending included; the loop answers in the tick that takes it, so longer is for a busy computer
 VIA = "local socket"
@@ -33,7 +34,8 @@ def held_here(endpoint: str, rig: str | None) -> list[LocalDaemon]:
 def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER_S) -> dict[str, Any] | None:
     """Give HOLD on a local socket; returns the answer, or None where no daemon of this computer is meant.
 
-    Of several answers it is one of a loop that does not hold, if there is one. ``answer_s``: limit for the loop's.
+    Of several answers it is one of a loop that does not hold, if there is one. ``operator``: beside this user, may be
+    empty. ``answer_s``: limit for the loop's.
     """
     answers = [_given(one, operator, answer_s) for one in held_here(endpoint, rig)]
     return min(answers, key=lambda answer: bool(answer["accepted"]), default=None)
@@ -46,21 +48,17 @@ def _given(daemon: LocalDaemon, operator: str, answer_s: float) -> dict[str, Any
         with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
             place, left_s = daemon.place.place(hold_socket.socket_name(uid)), max(0.0, until - time.monotonic())
             given = hold_socket.give(place, operator, left_s, daemon.owner)
-            answer = _silent(daemon, operator) if given is None else _worded(given, operator)
+            answer = _silent(daemon, _full(operator)) if given is None else _worded(given, _full(operator))
             break
     if answer is None and is_own:
-        answer = _former(daemon.place, operator, max(0.0, until - time.monotonic()))
-    answer = answer or _silent(daemon, operator)
-    return answer if is_own else answer | {"text": f"{answer['text']} (the daemon is of {_name(daemon.owner)})"}
+        answer = _former(daemon.place, _full(operator), max(0.0, until - time.monotonic()))
+    answer = answer or _silent(daemon, _full(operator))
+    return answer if is_own else answer | {"text": f"{answer['text']} (the daemon is of {user_name(daemon.owner)})"}
 
 
-def _name(uid: int) -> str:
-    import pwd
-
-    try:
-        return pwd.getpwuid(uid).pw_name
-    except KeyError:
-        return f"uid {uid}"
+def _full(operator: str) -> str:
+    """The operator's name with this user's, which is looked up only after HOLD has been given."""
+    return with_user(operator, user_name(os.geteuid()))
 
 
 def _silent(daemon: LocalDaemon, operator: str) -> dict[str, Any]:

@@ -118,15 +118,15 @@ class Rig:
         """Give a command; ``accepted``, ``reason`` and ``text`` of the answer say what happened.
 
         It is given under ``lease``, else under the lease of an earlier answer; without one the lease is taken if
-        nobody holds it. With a certificate the operator is the person it names. ``value`` and ``options``: see
-        ``schema()["commands"]``.
+        nobody holds it. The operator is the person in a certificate, else this user with the name given before his.
+        ``value`` and ``options``: see ``schema()["commands"]``.
 
         Raises:
             NoDaemonError: no answer; whether the command was carried out is unknown.
         """
         self.new_events.restart()
         if lease is not None:
-            self.connection.leases[self.connection.person or operator] = lease
+            self.connection.leases[self.connection.operator(operator)] = lease
         return self.connection.command(verb, operator, value, **options)
 
     def take_lease(self, operator: str, reason: str = "") -> Message:

@@ -212,7 +212,7 @@ class Logbook:
     def hold(self, t_ns: int, id_: int, hold: Hold) -> None:
         """A HOLD from a user of this computer, as it was taken."""
         self._rings.holds.write(t_ns, id_, hold.uid, hold.pid, hold.operator.encode()[:NAME_BYTES])
-        self.event(t_ns, Kind.LOCAL_HOLD, hold.uid, hold.pid, text=hold.operator.encode()[:80])
+        self.event(t_ns, Kind.LOCAL_HOLD, hold.uid, hold.pid, text=(hold.operator or "this user").encode()[:80])
         if hold.closed:
             self.event(t_ns, Kind.HOLD_SOCKET_CLOSED, hold.uid, hold.pid)
 

@@ -37,6 +37,7 @@ from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
 from rigctl.wire.lease import ACTS
 from rigctl.wire.lease_request import LeaseRequest, parse_lease
+from rigctl.wire.user_name import with_user
 
 POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
@@ -65,12 +66,21 @@ Reply = Callable[[dict[str, Any]], None]
 class Giver:
     """Who gives a command, as the transport shows it.
 
-    ``person``: name in a certificate, which is then the operator's. ``user``: user and process of this computer, in the
-    kernel's words, for the record.
+    ``person``: name in a certificate. ``user``, ``process``: of this computer, as the kernel says.
     """
 
     person: str = ""
     user: str = ""
+    process: int = 0
+
+    def operator(self, given: str = "") -> str:
+        """The operator's name, of which a request may say a part."""
+        return self.person or (with_user(given, self.user) if self.user else given)
+
+    @property
+    def recorded(self) -> str:
+        """User and process, for the record; empty over the network."""
+        return f"process {self.process} of {self.user}" if self.user else ""
 
 
 @dataclass(frozen=True)
@@ -192,8 +202,7 @@ class CommandServer:
         except RequestError as error:
             self.refuse(name, str(error), giver, reply)
             return
-        if giver.person:  # the access list lets only that person's certificate use the key
-            request = replace(request, operator=giver.person)
+        request = replace(request, operator=giver.operator(request.operator))
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             elsewhere = self._meant_for_another(request)
             if elsewhere is not None:
@@ -215,11 +224,11 @@ class CommandServer:
 
     def refuse(self, name: str, why: str, giver: Giver, reply: Reply) -> None:
         """Refuse what is no command, in the caller's thread."""
-        self._refuse(refused(on_one_line(name), giver.person, "bad_request", why), giver, reply)
+        self._refuse(refused(on_one_line(name), giver.operator(), "bad_request", why), giver, reply)
 
     def _refuse(self, refusal: dict[str, Any], giver: Giver, reply: Reply) -> None:
-        if why := self._rate.admit(giver.person, time.monotonic_ns()):
-            reply(refused(refusal["verb"], giver.person, "too_many", why))
+        if why := self._rate.admit(giver.operator(), time.monotonic_ns()):
+            reply(refused(refusal["verb"], giver.operator(), "too_many", why))
             return
         reply(refusal)
         self._work.put(partial(self._record_refusal, refusal, giver))
@@ -236,7 +245,7 @@ class CommandServer:
             self._collect(time.monotonic_ns())
 
     def _record_refusal(self, message: dict[str, Any], giver: Giver) -> None:
-        self._log.answered(time.monotonic_ns(), 0, self._holder(), message, giver=giver.user)
+        self._log.answered(time.monotonic_ns(), 0, self._holder(), message, giver=giver.recorded)
 
     def _decide_lease(self, request: LeaseRequest, giver: Giver, reply: Reply) -> None:
         message = self._meant_for_another(request) or self._leases.decide(request, time.monotonic_ns())
@@ -289,8 +298,8 @@ class CommandServer:
         self._record_given(now, number, given)
 
     def _record_given(self, now_ns: int, number: int, given: GivenCommand) -> None:
-        request, user = given.request, given.giver.user
-        self._log.given(now_ns, number, request.command, request.operator, self._holder(), request.number, user)
+        request, giver = given.request, given.giver.recorded
+        self._log.given(now_ns, number, request.command, request.operator, self._holder(), request.number, giver)
 
     def _give_holds(self, now_ns: int) -> None:
         """Send HOLD before all else and from anyone, since it is safe; waiting HOLDs become one, so no flood forms."""
@@ -377,7 +386,7 @@ class CommandServer:
         message = self._send(given, message, now)
         finding = recorded.filed.finding if recorded is not None else None
         entry = ledger.entry_digest(finding.entry) if finding is not None else ""
-        self._log.answered(now, number, self._holder(), message, entry, given.giver.user)
+        self._log.answered(now, number, self._holder(), message, entry, given.giver.recorded)
 
     def _send(self, given: GivenCommand, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """Answer a command with the lease in force; returns the answer."""

@@ -97,7 +97,7 @@ class _LocalConnection:
 
     def __init__(self, own: socket.socket, peer: LocalPeer, used: int) -> None:
         self.own, self.peer, self.used = own, peer, used
-        self.giver = Giver(user=f"process {peer.pid} of {peer.name}")
+        self.giver = Giver(user=peer.name, process=peer.pid)
         self.splitter, self.out = Splitter(LONGEST_QUESTION), bytearray()
         self.asked = 0  # number of the question without an answer
         self.follows = 0  # number of the question since which it gets the states

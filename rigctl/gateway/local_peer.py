@@ -12,6 +12,8 @@ import socket
 import struct
 from typing import NamedTuple
 
+from rigctl.wire.user_name import user_name
+
 _CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
 _SO_PEERGROUPS = 59  # <asm-generic/socket.h>, Linux 4.13
 _GROUPS_BYTES = 1024  # the most that Python asks for: 256 groups
@@ -28,10 +30,7 @@ class LocalPeer(NamedTuple):
     @property
     def name(self) -> str:
         """The user's name."""
-        try:
-            return pwd.getpwuid(self.uid).pw_name
-        except KeyError:
-            return f"uid {self.uid}"
+        return user_name(self.uid)
 
 
 def peer_of(connection: socket.socket) -> LocalPeer:

@@ -182,7 +182,7 @@ class PageCommands:
                 self._client = None
             if self._client is None:
                 self._client = Client(self._picture.endpoint, shown)
-                self.operator = self._client.person or self.operator
+                self.operator = self._client.operator(self.operator)
             return self._client
 
     def close(self) -> None:

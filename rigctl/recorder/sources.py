@@ -24,6 +24,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.enums import name_of
 from rigctl.wire.event_message import event_message
+from rigctl.wire.user_name import user_name, with_user
 
 BATCH = 1000  # slots read from a ring at once
 Words = tuple[str, str, str, dict[str, Any]]  # what, who, text, details
@@ -92,8 +93,9 @@ def _order(slot: np.void) -> Words:
 
 
 def _hold(slot: np.void) -> Words:
-    who, uid, pid = _text(slot, "operator"), int(slot["uid"]), int(slot["pid"])
-    text = f"HOLD via the local socket, from process {pid} of uid {uid}"
+    uid, pid = int(slot["uid"]), int(slot["pid"])
+    user = user_name(uid)
+    who, text = with_user(_text(slot, "operator"), user), f"HOLD via the local socket, from process {pid} of {user}"
     return "local_hold_given", who, text, {"id": int(slot["id"]), "uid": uid, "pid": pid}
 
 

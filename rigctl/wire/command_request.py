@@ -24,11 +24,11 @@ from rigctl.ipc.ring import RingReader
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.state_message import ALIVE_NS
+from rigctl.wire.user_name import LONGEST
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
 REGULATED = {"hold": 0.0, "compensating": 1.0}
 """Where a RESPONSE may be measured, and the number in its slot."""
-_OPERATOR_LENGTH = 64
 PAYLOAD_BYTES = 16_384  # room for a gain file
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
@@ -151,8 +151,8 @@ def operator_of(text: str) -> str:
         RequestError: empty, too long or not printable.
     """
     operator = text.strip()
-    if not operator or len(operator) > _OPERATOR_LENGTH or not operator.isprintable():
-        raise RequestError(f"found operator {text[:80]!r}, expected 1 to {_OPERATOR_LENGTH} printable letters")
+    if not operator or len(operator) > LONGEST or not operator.isprintable():
+        raise RequestError(f"found operator {text[:80]!r}, expected 1 to {LONGEST} printable letters")
     return operator
 
 

@@ -50,7 +50,7 @@ OWN_OF_HOLD = {
     "rigctl.config", "rigctl.config.address", "rigctl.config.extras", "rigctl.config.input_file",
     "rigctl.config.layout", "rigctl.config.one_line", "rigctl.ipc", "rigctl.ipc.folder_places",
     "rigctl.ipc.hold_socket", "rigctl.ipc.termination", "rigctl.ipc.trusted_folders", "rigctl.ipc.writers",
-    "rigctl.wire", "rigctl.wire.keys",
+    "rigctl.wire", "rigctl.wire.keys", "rigctl.wire.user_name",
 }  # fmt: skip
 
 

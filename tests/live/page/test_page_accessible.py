@@ -9,6 +9,7 @@ import axe_playwright_python
 import pytest
 from playwright.sync_api import Browser
 
+from tests.builders.operators import KIM
 from tests.builders.pages import PageView, Server, look
 from tests.builders.stand_in import TRIP_N
 
@@ -140,7 +141,7 @@ def test_every_command_is_given_by_keyboard(chromium: Browser, own_page: Server)
     seen.until("document.activeElement.id === 'shelve-reason'")
     keys.type("a test")
     keys.press("Enter")
-    said("kim shelves the alarm TENSION_HIGH for 1800 s: a test")
+    said(f"{KIM} shelves the alarm TENSION_HIGH for 1800 s: a test")
     seen.until("rigctl.state.alarms[0].shelved !== null")
     tab_to(seen, "[data-act=unshelve]")
     keys.press("Enter")

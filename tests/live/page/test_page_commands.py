@@ -16,6 +16,7 @@ from playwright.sync_api import Browser
 
 from tests.builders import daemons
 from tests.builders.miniature import free_port
+from tests.builders.operators import ANNA, KIM
 from tests.builders.pages import PageView, Server, look, serving
 from tests.builders.waiting import until
 
@@ -129,13 +130,13 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: PageView, run
         seen.page.click("#hold")
         said(seen, "HOLD refused: hold is not possible in DISARMED")  # by the loop, not for lack of a lease
         seen.page.click("[data-verb=arm]")
-        seen.until("document.querySelector('#confirm-text').textContent.includes('anna holds the lease')")
+        seen.until(f"document.querySelector('#confirm-text').textContent.includes('{ANNA} holds the lease')")
         seen.page.fill("#reason", "she has gone home")
         seen.page.click("#confirm-yes")
         seen.until("document.querySelector('#confirm-text').textContent.startsWith('ARM: ')")
         seen.page.click("#confirm-no")
         seen.until("rigctl.state.lease.mine")
-        listed(seen, "kim takes the lease over from anna: she has gone home")
+        listed(seen, f"{KIM} takes the lease over from {ANNA}: she has gone home")
     finally:
         daemons.rigctl("lease", "return", "--operator", "anna", file=running.file)
 

@@ -17,6 +17,7 @@ from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.wire.keys import Keys
 from tests.builders.certified import CertifiedDaemon, certified
 from tests.builders.namespace import HERE
+from tests.builders.operators import ANNA
 from tests.builders.refusals import Refused
 from tests.builders.remote_operator import RemoteOperator
 from tests.builders.waiting import patience_s
@@ -117,7 +118,7 @@ def test_on_the_rigs_own_computer_the_socket_is_an_operators_without_a_key(own: 
     own.client_of("vera").close()
     with Client(own.endpoint, "paper_rig") as anna:
         assert (anna.route.is_local, anna.person) == (True, "")
-        assert anna.command("target", "anna", 290.0)["lease"]["holder"] == "anna"
+        assert anna.command("target", "anna", 290.0)["lease"]["holder"] == ANNA
         refusals = Refused(own)
         for person in ("", "kim"):
             key = Keys("paper_rig", person).command("lease_take")

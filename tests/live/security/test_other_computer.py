@@ -12,6 +12,7 @@ from rigctl.wire.keys import Keys
 from tests.builders.intruder import FORGED, Intruder
 from tests.builders.miniature import Daemon
 from tests.builders.namespace import HERE
+from tests.builders.operators import ANNA
 from tests.builders.refusals import Refused
 
 KEYS = Keys("paper_rig")
@@ -62,7 +63,7 @@ def test_no_command_is_taken_from_there(open_daemon: Daemon, elsewhere: tuple[st
             answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body}).encode())
             assert (answer["good"], answer["text"]) == (False, "")
         assert "by nobody known (no certificate, tcp/" in Refused(own).line("query of rigctl/paper_rig/cmd/")
-        assert own.state(anna)["lease"]["holder"] == "anna"
+        assert own.state(anna)["lease"]["holder"] == ANNA
         assert own.state(anna)["mode"] in ("TENSIONING", "COMPENSATING")
 
 

@@ -16,6 +16,7 @@ from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.wire.keys import Keys
 from tests.builders.intruder import NOBODY, Intruder
 from tests.builders.miniature import Daemon
+from tests.builders.operators import ANNA
 from tests.builders.paths import ROOT
 from tests.builders.refusals import Refused
 from tests.builders.waiting import patience_s, until
@@ -42,7 +43,7 @@ def test_her_commands_and_her_lease_do_not_come_to_him(own: Daemon) -> None:
         Intruder(own.endpoint, "paper_rig", "answers", "replays") as intruder,
         Intruder(own.endpoint, "paper_rig") as another,
     ):
-        lease = anna.leases["anna"]
+        lease = anna.leases[ANNA]
         assert anna.take_lease("anna")["lease"]["id"] == lease
         assert anna.command("target", "anna", 290.0)["accepted"]
         assert not another.ask(KEYS.command("hold"), b'{"operator": "kim"}')["good"]
@@ -64,14 +65,14 @@ def test_a_command_by_tcp_is_refused_and_put_on_record(own: Daemon, verb: str, b
     """Also with the lease's id, which he has from somewhere."""
     with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         given, refused = commands(own), Refused(own)
-        for shown in ({}, {"lease": anna.leases["anna"]}):
+        for shown in ({}, {"lease": anna.leases[ANNA]}):
             answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body, **shown}).encode())
             assert (answer["good"], answer["text"]) == (False, "")
         line = refused.line(f"query of rigctl/paper_rig/cmd/{verb}")
         assert "by nobody known (no certificate, tcp/127.0.0.1:" in line
         assert line.endswith(") refused: not allowed")
         assert commands(own) == given
-        assert own.state(anna)["lease"]["holder"] == "anna"
+        assert own.state(anna)["lease"]["holder"] == ANNA
         assert anna.command("target", "anna", 290.0)["accepted"]
 
 
@@ -81,7 +82,7 @@ def test_a_command_by_tcp_is_refused_and_put_on_record(own: Daemon, verb: str, b
 def test_a_command_for_every_rig_or_every_verb_is_none(own: Daemon, key: str) -> None:
     with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         given = commands(own)
-        assert not intruder.ask(key, json.dumps({"operator": "anna", "lease": anna.leases["anna"]}).encode())["good"]
+        assert not intruder.ask(key, json.dumps({"operator": "anna", "lease": anna.leases[ANNA]}).encode())["good"]
         assert commands(own) == given
 
 
@@ -132,7 +133,7 @@ def test_another_user_reads_the_rig_is_told_so_and_commands_nothing(own: Daemon)
         assert refused.returncode == 1
         assert "RELEASE refused: " in refused.stderr.splitlines()[-1]
         assert "this user finds no daemon of it here" in refused.stderr
-        assert own.state(anna)["lease"]["holder"] == "anna"
+        assert own.state(anna)["lease"]["holder"] == ANNA
         held = typed("hold", "--operator", "kim", "--json")
         answer = json.loads(held.stdout)
         assert answer["via"] == "local socket", held.stderr

@@ -22,6 +22,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
+from tests.builders.operators import KIM
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 from tests.live.system.test_daemon import PATIENT, Running
@@ -91,7 +92,7 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     file = running.file
     assert running.do("tare", "--operator", "kim").startswith("TARE: zero +0.000 -> ")
     tared = entries(file)[-1]
-    assert (tared.what, tared.operator, tared.before["zero_n"]) == ("tare", "kim", 0.0)
+    assert (tared.what, tared.operator, tared.before["zero_n"]) == ("tare", KIM, 0.0)
     assert tared.figures["rms_n"] == pytest.approx(0.03, rel=0.2)
     calibration = daemons.state(file)["calibration"]
     assert calibration["zero_n"] == tared.after["zero_n"]

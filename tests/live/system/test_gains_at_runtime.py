@@ -12,6 +12,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc import ledger
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from tests.builders import daemons
+from tests.builders.operators import KIM
 from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT, Running
 
@@ -44,7 +45,7 @@ def test_gains_change_while_it_compensates_and_outlive_the_control_process(runni
     assert "limit 1.6" in (said := running.do("gains", softer, "--operator", "kim"))
     written = ledger.read(config.load(file))[-1]
     wanted = yaml.safe_load(pathlib.Path(softer).read_text())["gains"]
-    assert (written.what, written.operator, written.after) == ("gains", "kim", wanted)
+    assert (written.what, written.operator, written.after) == ("gains", KIM, wanted)
     assert f"{written.before['k_tension']:.4g} -> {wanted['k_tension']:.4g}" in said
     until(lambda: "softer.gains.yaml" in daemons.state(file)["design"])  # the state is renewed at intervals
     assert daemons.mode(file) == "COMPENSATING"

@@ -16,6 +16,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from tests.bench.flood import TLS_KINDS, flooding
 from tests.bench.holds import Subject, hung
 from tests.builders import daemons
+from tests.builders.operators import KIM, USER
 from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT
 
@@ -67,12 +68,12 @@ def test_the_audit_log_names_who_held_and_how(file: pathlib.Path) -> None:
     shown = daemons.rigctl("hold", "--json", file=file)
     assert json.loads(shown.stdout)["accepted"]
     log = file.parent / "audit" / f"{daemons.name_of(file)}.jsonl"
-    want = f"via the local socket, from process {{}} of uid {os.geteuid()}".split("{}")
+    want = f"via the local socket, from process {{}} of {USER}".split("{}")
 
     def entered() -> bool:
         lines = [json.loads(line) for line in log.read_text().splitlines()]
         return any(
-            line["what"] == "local_hold_given" and line["who"] == "kim" and all(part in line["text"] for part in want)
+            line["what"] == "local_hold_given" and line["who"] == KIM and all(part in line["text"] for part in want)
             for line in lines
         )
 

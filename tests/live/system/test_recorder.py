@@ -19,6 +19,7 @@ from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import chain
 from tests.builders import daemons
+from tests.builders.operators import ANNA, KIM
 from tests.builders.waiting import patience_s, until
 from tests.live.system.test_daemon import PATIENT, Running
 
@@ -65,7 +66,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     slow.do("arm", "--operator", "anna")
     slow.do("target", "60", "--operator", "anna")
     slow.do("tension", "--wait", "--operator", "anna")
-    assert "anna holds the lease" in slow.refused("disarm", "--operator", "kim")
+    assert f"{ANNA} holds the lease" in slow.refused("disarm", "--operator", "kim")
     os.kill(recorder_of(file), signal.SIGKILL)
     until(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
                      in slow.log.read_text(), log=slow.log)  # fmt: skip
@@ -96,11 +97,11 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     assert ("process_ended", "recorder") in [(entry.what, entry.details.get("process")) for entry in found]
     answers = [(entry.who, entry.details["verb"], entry.details["reason"]) for entry in found
                if entry.what in ("command_accepted", "command_refused")]  # fmt: skip
-    for expected in (("anna", "arm", ""), ("anna", "tension", ""), ("kim", "disarm", "lease_held")):
+    for expected in ((ANNA, "arm", ""), (ANNA, "tension", ""), (KIM, "disarm", "lease_held")):
         assert expected in answers
     refused = [entry for entry in found if entry.what == "command_refused"]
-    assert {entry.who for entry in refused} == {"kim"}
-    assert {entry.details["holder"] for entry in refused} == {"anna"}
+    assert {entry.who for entry in refused} == {KIM}
+    assert {entry.details["holder"] for entry in refused} == {ANNA}
     assert [entry.text for entry in found if entry.what == "mode"][:2] == [
         "DISARMED -> HOLD: drive enabled", "HOLD -> TENSIONING: tension commanded"
     ]  # fmt: skip

@@ -22,6 +22,7 @@ from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import recording
 from tests.bench.recorder import PATIENT, judged, strike
 from tests.builders import daemons
+from tests.builders.operators import ANNA
 from tests.builders.waiting import patience_s, until
 
 KILLS = 3
@@ -74,7 +75,7 @@ def test_a_session_with_kills_is_recorded_whole(tmp_path: pathlib.Path) -> None:
     assert what.count("daemon_started") == 1
     assert what.count("recorder_started") == KILLS + 1
     assert [entry.seq for entry in found.audit] == list(range(1, len(found.audit) + 1))
-    assert ("anna", "command_accepted") in [(entry.who, entry.what) for entry in found.audit]
+    assert (ANNA, "command_accepted") in [(entry.who, entry.what) for entry in found.audit]
     assert [event.seq for event in found.events] == list(range(1, len(found.events) + 1))
 
     with found.files[-1].path.open("rb") as stream:  # the last part with mcap's own reader

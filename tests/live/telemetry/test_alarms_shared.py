@@ -6,6 +6,7 @@ import json
 
 from rigctl.wire.alarms import AlarmAct, Alarms
 from tests.builders.miniature import Daemon
+from tests.builders.operators import ANNA, KIM
 from tests.builders.stand_in import TRIP_N
 
 
@@ -29,7 +30,7 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
     with own.client() as client:
         answer = client.decide_alarm(AlarmAct.SHELVE, "anna", cause, "tea", 600)
         assert answer["accepted"]
-        assert client.state()["lease"]["holder"] != "anna"  # a decision takes no lease
+        assert client.state()["lease"]["holder"] != ANNA  # a decision takes no lease
     own.kill_gateway()
     own.start_gateway()
     with own.client() as client:
@@ -38,12 +39,12 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
         (row,) = Alarms(client.past_events()).rows(state, state["wall_ns"])
     assert (row.cause, row.acknowledged) == (cause, "")
     assert row.shelf is not None
-    assert (row.shelf.operator, row.shelf.reason) == ("anna", "tea")
+    assert (row.shelf.operator, row.shelf.reason) == (ANNA, "tea")
     (told,) = json.loads(own.cli("alarms", "--json").stdout)
-    assert told["shelved"]["operator"] == "anna"
+    assert told["shelved"]["operator"] == ANNA
     assert own.cli("alarms", "unshelve", cause).returncode == 0
     result = own.cli("alarms", "acknowledge", cause, "--operator", "kim")
-    assert (result.returncode, result.stdout) == (0, f"kim acknowledges the alarm {cause}\n")
-    assert "(latched, acknowledged by kim)" in own.cli("alarms").stdout  # until the reset
+    assert (result.returncode, result.stdout) == (0, f"{KIM} acknowledges the alarm {cause}\n")
+    assert f"(latched, acknowledged by {KIM})" in own.cli("alarms").stdout  # until the reset
     assert own.cli("reset").returncode == 0
     assert own.cli("alarms").stdout == "no alarms\n"

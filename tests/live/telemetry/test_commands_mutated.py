@@ -10,6 +10,7 @@ import msgspec
 from rigctl.control.modes import FILED, Mode
 from rigctl.wire.session import MESSAGE_BYTES
 from tests.builders.miniature import Daemon
+from tests.builders.operators import ANNA
 from tests.fuzz import commands
 
 SEED, COUNT, EACH_S = 11, 150, 30.0
@@ -29,7 +30,7 @@ def test_every_mutated_command_is_answered_and_none_ends_the_gateway(own: Daemon
         before = client.state()["seq"]
         assert client.command("hold", "anna")["text"]
         assert client.take_lease("anna")["accepted"]
-        lease = client.leases["anna"]
+        lease = client.leases[ANNA]
         kinds = set()
         for _ in range(COUNT):
             name, payload = commands.query(chance, chance.choice(list(Mode)))

@@ -16,6 +16,7 @@ from rigctl.client.connection import Client, NoDaemonError
 from rigctl.control.checks import Check
 from rigctl.control.modes import Setting, Verb
 from tests.builders.miniature import RUN_ID, Daemon, running
+from tests.builders.operators import KIM
 from tests.builders.waiting import patience_s, until
 
 
@@ -35,7 +36,7 @@ def test_a_session_with_the_rig(own: Daemon) -> None:
         words = "simulated cell: there is no weight to hang on it"
         assert armed["text"] == f"ARM: armed, HOLD, stroke 0.00 mm, tension 0.0 N; waived: calibration, tare ({words})"
         assert armed["waived"] == {"calibration": words, "tare": words}
-        assert (armed["mode"], armed["operator"]) == ("HOLD", "kim")
+        assert (armed["mode"], armed["operator"]) == ("HOLD", KIM)
         assert client.command("target", "kim", 400.0)["text"] == "TARGET refused: target must be 50 to 350 N"
         assert client.command("target", "kim", 250)["text"] == "TARGET: 250 N, HOLD"
         assert client.command("tension", "kim")["accepted"]
@@ -83,7 +84,7 @@ def test_two_at_once(own: Daemon) -> None:
 
     def give(verb: str, value: float | None = None) -> None:
         with Client(own.endpoint) as client:
-            client.leases["kim"] = lease
+            client.leases[KIM] = lease
             answers.append((value, client.command(verb, "kim", value)))
 
     threads = [threading.Thread(target=give, args=("arm",))]

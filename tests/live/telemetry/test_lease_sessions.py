@@ -22,6 +22,7 @@ from rigctl.gateway.command_socket import PER_USER
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.gateway.published_position import SENT_NS
 from tests.builders.miniature import Daemon
+from tests.builders.operators import ANNA, KIM
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
@@ -60,7 +61,7 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         events = anna.follow(anna.keys.event("*"))
         armed = anna.command("arm", "anna")
         lease = armed["lease"]
-        assert (lease["holder"], len(lease["id"])) == ("anna", 32)
+        assert (lease["holder"], len(lease["id"])) == (ANNA, 32)
         assert 295 < lease["left_s"] <= 300
         assert lease["until_ns"] > time.monotonic_ns()
         given = commands(own)
@@ -77,23 +78,23 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
             if refused["reason"] == "not_possible":  # for every operator on this rig
                 continue
             assert refused["reason"] == "lease_held"
-            assert refused["text"].startswith(f"{verb.name} refused: anna holds the lease, since ")
+            assert refused["text"].startswith(f"{verb.name} refused: {ANNA} holds the lease, since ")
             assert refused["text"].endswith(HOW)
-            assert refused["lease"]["holder"] == "anna"
+            assert refused["lease"]["holder"] == ANNA
             assert "id" not in refused["lease"]
         assert commands(own) == given  # none of them reached the loop
         assert anna.command("tension", "anna")["accepted"]
         held = gateways_hold(kim, "kim")
         assert held["accepted"]
         assert held["text"].startswith("HOLD: stroke held at")
-        assert held["lease"]["holder"] == "anna"
+        assert held["lease"]["holder"] == ANNA
         assert "id" not in held["lease"]
         event = until(of_kind(events, "HOLD_WITHOUT_LEASE"), "the note")
         assert (event["severity"], event["source"]) == ("warning", "gateway")
-        assert event["text"] == "HOLD given by kim without the lease, which anna holds"
+        assert event["text"] == f"HOLD given by {KIM} without the lease, which {ANNA} holds"
         assert anna.command("tension", "anna")["accepted"]  # still her lease
         state = own.state(kim)
-        assert state["lease"]["holder"] == "anna"
+        assert state["lease"]["holder"] == ANNA
         assert "id" not in state["lease"]  # the state is public
         assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
 
@@ -103,9 +104,9 @@ def test_the_same_name_elsewhere_is_another_operator_until_the_id_is_shown(own: 
         lease = first.command("arm", "anna")["lease"]["id"]
         refused = second.command("tension", "anna")
         assert refused["text"].startswith(
-            "TENSION refused: anna holds the lease in another terminal or program, since "
+            f"TENSION refused: {ANNA} holds the lease in another terminal or program, since "
         )
-        second.leases["anna"] = lease
+        second.leases[ANNA] = lease
         assert second.command("tension", "anna")["accepted"]
 
 
@@ -115,18 +116,18 @@ def test_a_takeover_needs_a_reason_and_is_noted(own: Daemon) -> None:
         anna.command("arm", "anna")
         refused = kim.take_lease("kim")
         assert refused["accepted"] is False
-        assert refused["text"].startswith("LEASE refused: anna holds the lease, since ")
+        assert refused["text"].startswith(f"LEASE refused: {ANNA} holds the lease, since ")
         assert refused["text"].endswith(HOW)
         given = commands(own)
         taken = kim.take_lease("kim", "anna has gone home")
         assert taken["accepted"]
-        assert taken["text"] == "LEASE: kim holds the lease, until 300 s after the last command"
+        assert taken["text"] == f"LEASE: {KIM} holds the lease, until 300 s after the last command"
         event = until(of_kind(events, "LEASE_TAKEN_OVER"), "the note")
-        assert event["text"] == "kim takes the lease over from anna: anna has gone home"
-        assert (event["operator"], event["other"]) == ("kim", "anna")
+        assert event["text"] == f"{KIM} takes the lease over from {ANNA}: anna has gone home"
+        assert (event["operator"], event["other"]) == (KIM, ANNA)
         assert (commands(own), own.state(kim)["mode"]) == (given, "HOLD")
         lost = anna.command("tension", "anna")
-        assert (lost["reason"], lost["lease"]["holder"]) == ("lease_held", "kim")
+        assert (lost["reason"], lost["lease"]["holder"]) == ("lease_held", KIM)
         assert kim.command("tension", "kim")["accepted"]
         assert anna.return_lease("anna")["reason"] == "lease_held"
         assert kim.return_lease("kim")["text"] == "LEASE: given back; the rig goes on as it is"
@@ -148,7 +149,7 @@ def test_a_lapse_is_noted_and_moves_nothing(own: Daemon) -> None:
         own.answers(client)
         (event,) = until(lambda: [e for e in client.past_events() if e["kind"] == "LEASE_LAPSED"], "the lapse")
         assert event["severity"] == "warning"
-        assert event["text"] == "the lease of anna has lapsed; the rig goes on as it is"
+        assert event["text"] == f"the lease of {ANNA} has lapsed; the rig goes on as it is"
         until(lambda: client.state()["mode"] == "COMPENSATING", "the end of the ramp")
         assert own.state(client)["lease"] is None
         assert commands(own) == given
@@ -157,7 +158,7 @@ def test_a_lapse_is_noted_and_moves_nothing(own: Daemon) -> None:
             assert kim.command("hold", "kim")["accepted"]
             until(lambda: client.state()["mode"] == "HOLD", "the hold")
             assert client.state()["lease"] is None  # hold takes no lease
-            assert kim.command("release", "kim")["lease"]["holder"] == "kim"
+            assert kim.command("release", "kim")["lease"]["holder"] == KIM
 
 
 def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: Daemon) -> None:
@@ -178,9 +179,9 @@ def test_a_dead_terminal_leaves_the_rig_as_it_is_and_the_lease_to_the_next(own: 
         waiting.communicate()
         state = until(lambda: (s := client.state())["mode"] == "COMPENSATING" and s, "the end of the ramp")
         assert (commands(own), state["target_n"]) == (given, 300.0)
-        assert state["lease"]["holder"] == "anna"
+        assert state["lease"]["holder"] == ANNA
         stranger = own.cli("release", "--operator", "anna", user="stranger")
-        assert stranger.stderr.startswith("rigctl: RELEASE refused: anna holds the lease in another terminal")
+        assert stranger.stderr.startswith(f"rigctl: RELEASE refused: {ANNA} holds the lease in another terminal")
         assert own.cli("release", "--operator", "anna").stdout.startswith("RELEASE: ramping")
 
 
@@ -210,10 +211,10 @@ def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_el
     draw = random.Random(5)
     with own.client() as anna, own.client() as kim:
         anna.command("arm", "anna")
-        holder: str | None = "anna"
+        holder: str | None = ANNA
         given = commands(own)
         for _ in range(300):
-            client, operator = draw.choice([(anna, "anna"), (kim, "kim")])
+            client, operator = draw.choice([(anna, ANNA), (kim, KIM)])
             what = draw.choice(["hold", "target", "target", "take", "take for a reason", "return", "forget"])
             if what == "forget":
                 client.leases.pop(operator, None)
@@ -260,7 +261,7 @@ def test_a_lease_that_is_not_valid_keeps_no_operator_out(own: Daemon, forged: st
         with own.client() as kim:
             assert kim.command("hold", "kim")["accepted"]
             until(lambda: client.state()["mode"] == "HOLD", "the hold")
-            assert kim.command("release", "kim")["lease"]["holder"] == "kim"
+            assert kim.command("release", "kim")["lease"]["holder"] == KIM
             kinds = [e["kind"] for e in kim.past_events() if e["source"] == "gateway"]
         assert kinds == ["LEASE_TAKEN", "LEASE_NOT_BELIEVED", "LEASE_TAKEN"]
 
@@ -287,7 +288,7 @@ def test_hold_comes_through_a_crowd(own: Daemon) -> None:
     """With as many unanswered commands as a user has connections for, HOLD is answered."""
     with own.client() as client:
         client.command("arm", "anna")
-        lease, key = client.leases["anna"], client.keys.command("target")
+        lease, key = client.leases[ANNA], client.keys.command("target")
         body = msgspec.json.encode({"operator": "anna", "value": 111.0, "lease": lease})  # never answered
         with ThreadPoolExecutor(PER_USER - 2) as asking:  # a connection each; beside them those of client and kim
             asked = [asking.submit(client.ask, key, body, patience_s()) for _ in range(PER_USER - 2)]
@@ -304,21 +305,21 @@ def test_the_lease_typed(own: Daemon) -> None:
     assert own.cli("lease", "--json").stdout == "null\n"
     own.cli("arm", "--operator", "anna")
     line = own.cli("lease", "show", user="kim").stdout
-    assert line.startswith("lease: anna, since ")
+    assert line.startswith(f"lease: {ANNA}, since ")
     assert " s\n" in line
     shown = json.loads(own.cli("lease", "--json").stdout)
-    assert (shown["holder"], "id" in shown) == ("anna", False)
+    assert (shown["holder"], "id" in shown) == (ANNA, False)
     for reader in ("status", "lease"):
-        assert "anna, since " in own.cli(reader, user="kim").stdout
+        assert f"{ANNA}, since " in own.cli(reader, user="kim").stdout
 
     refused = own.cli("lease", "take", "--operator", "kim", user="kim")
     assert (refused.returncode, refused.stdout) == (1, "")
-    assert refused.stderr.startswith("rigctl: LEASE refused: anna holds the lease, since ")
+    assert refused.stderr.startswith(f"rigctl: LEASE refused: {ANNA} holds the lease, since ")
     assert refused.stderr.endswith(f"{HOW}\n")
     taken = own.cli("lease", "take", "--reason", "tea", "--operator", "kim", user="kim")
     assert (taken.returncode, taken.stderr) == (0, "")
-    assert taken.stdout == "LEASE: kim holds the lease, until 300 s after the last command\n"
-    assert own.cli("disarm", "--operator", "anna").stderr.startswith("rigctl: DISARM refused: kim holds the lease, ")
+    assert taken.stdout == f"LEASE: {KIM} holds the lease, until 300 s after the last command\n"
+    assert own.cli("disarm", "--operator", "anna").stderr.startswith(f"rigctl: DISARM refused: {KIM} holds the lease, ")
     assert own.cli("disarm", "--operator", "kim", user="kim").returncode == 0
     assert own.cli("lease", "return", "--operator", "kim", user="kim").returncode == 0
     nothing = own.cli("lease", "return", "--operator", "kim", user="kim")
@@ -328,10 +329,10 @@ def test_the_lease_typed(own: Daemon) -> None:
     with Client(own.endpoint) as client:
         texts = [event["text"] for event in client.past_events() if event["source"] == "gateway"]
     assert texts == [
-        "anna takes the lease",
-        "kim takes the lease over from anna: tea",
-        "kim gives the lease back; the rig goes on as it is",
-        "anna takes the lease",
+        f"{ANNA} takes the lease",
+        f"{KIM} takes the lease over from {ANNA}: tea",
+        f"{KIM} gives the lease back; the rig goes on as it is",
+        f"{ANNA} takes the lease",
     ]
 
 

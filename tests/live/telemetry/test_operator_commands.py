@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import pytest
 
 from tests.builders.miniature import Daemon, free_port, running
+from tests.builders.operators import KIM, LEE
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 
@@ -42,11 +43,11 @@ def test_a_session_typed(own: Daemon) -> None:
     assert last.startswith("TENSION: COMPENSATING, tension 2")
     held = json.loads(own.cli("hold", "--json", "--operator", "kim").stdout)
     assert held["accepted"] is True
-    assert (held["mode"], held["operator"]) == ("HOLD", "kim")
+    assert (held["mode"], held["operator"]) == ("HOLD", KIM)
     assert own.cli("lease", "return").stdout == "LEASE: given back; the rig goes on as it is\n"
     result = own.cli("release", "--wait", "--json", RIGCTL_OPERATOR="lee")
     answer = json.loads(result.stdout)
-    assert (result.returncode, answer["accepted"], answer["mode"], answer["operator"]) == (0, True, "HOLD", "lee")
+    assert (result.returncode, answer["accepted"], answer["mode"], answer["operator"]) == (0, True, "HOLD", LEE)
     assert own.cli("disarm", "--operator", "lee").stdout == "DISARM: drive off, brake closed, DISARMED\n"
     refused = own.cli("hold", "--json")
     assert refused.returncode == 1

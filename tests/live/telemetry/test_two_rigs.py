@@ -17,6 +17,7 @@ import pytest
 import rigctl.client
 from rigctl.client import Rig, Samples, connect, route
 from tests.builders.miniature import Daemon, free_port
+from tests.builders.operators import LEE
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
@@ -104,7 +105,7 @@ def test_a_command_reaches_only_the_rig_it_names(two: tuple[Daemon, Daemon]) -> 
         assert (here["lease"], here["target_n"]) == (None, 300.0)
         assert commands(first) == given
         assert events.read(0.3) is None
-        assert north.take_lease("lee")["lease"]["holder"] == "lee"  # each rig has a lease of its own
+        assert north.take_lease("lee")["lease"]["holder"] == LEE  # each rig has a lease of its own
 
 
 def test_the_joined_router_dies_and_the_other_rig_streams_on(two: tuple[Daemon, Daemon]) -> None:

@@ -22,6 +22,7 @@ from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, Runtime
+from tests.builders.operators import KIM
 from tests.builders.waiting import patience_s, until
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -101,7 +102,7 @@ def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
         answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
     assert taken == ["kim"]
     assert answer == {
-        "accepted": True, "verb": "hold", "operator": "kim", "mode": "HOLD", "t_ns": 88, "value": 300.04,
+        "accepted": True, "verb": "hold", "operator": KIM, "mode": "HOLD", "t_ns": 88, "value": 300.04,
         "text": "HOLD: stroke held at 52.30 mm, tension 300.0 N", "via": "local socket",
     }  # fmt: skip
 
@@ -136,7 +137,7 @@ def test_without_a_socket_the_loop_does_not_answer() -> None:
 def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Runtime) -> None:
     with former_service(runtime) as asked:
         answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
-    assert asked == ["kim"]
+    assert asked == [KIM]
     assert answer is not None
     assert (answer["accepted"], answer["mode"], answer["via"]) == (True, "HOLD", "local socket")
 

@@ -28,6 +28,7 @@ from rigctl.ipc import writers
 from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.runtime_folder import FolderError, Runtime
 from rigctl.wire.socket_message import LONGEST_ANSWER, SocketAnswer, SocketQuestion, Splitter, packed, unpacked
+from tests.builders.operators import USER
 from tests.builders.waiting import patience_s, until
 
 OWN = os.geteuid()
@@ -136,8 +137,8 @@ def test_a_command_comes_with_the_kernels_user_and_process_and_gets_its_answer(g
     assert (good, json.loads(found)) == (True, {"accepted": True, "text": "arm"})
     good, found = client.ask("cmd/tension", b"no json", patience_s())
     assert (good, json.loads(found)["accepted"]) == (False, False)
-    user = f"process {os.getpid()} of {pwd.getpwuid(OWN).pw_name}"
-    assert gateway.given == [("arm", b'{"operator":"kim"}', Giver("", user)), ("tension", b"no json", Giver("", user))]
+    giver = Giver("", USER, os.getpid())
+    assert gateway.given == [("arm", b'{"operator":"kim"}', giver), ("tension", b"no json", giver)]
     assert client.ask("tele/state", None, patience_s()) == (True, STATE)
     client.close()
 
@@ -169,7 +170,7 @@ def test_a_path_that_is_too_long_is_one_line(tmp_path: pathlib.Path) -> None:
 def test_of_the_service_members_of_the_operators_group_command_and_no_other_user(service: Gateway) -> None:
     assert stat.S_IMODE(service.place.stat().st_mode) == 0o660
     assert by(NOBODY, service, OPERATORS).startswith("(True, ")
-    assert [giver.user.split(" of ")[1] for _, _, giver in service.given] == ["nobody"]
+    assert [giver.user for _, _, giver in service.given] == ["nobody"]
     assert by(NOBODY, service) == "Permission denied"
     service.place.chmod(0o666)  # even if anyone could open it
     refused = by(NOBODY, service)
@@ -203,7 +204,7 @@ def test_200_idle_connections_of_a_user_lose_the_oldest_and_no_command(gateway: 
     assert ended(idle[0])
     asked(idle[-1], 1)
     assert answered(idle[-1])[0].good
-    assert (f"local user {pwd.getpwuid(OWN).pw_name}", TOO_MANY) in gateway.socket.closed
+    assert (f"local user {USER}", TOO_MANY) in gateway.socket.closed
     for one in idle:
         one.close()
 

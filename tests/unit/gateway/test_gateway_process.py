@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import os
 import pathlib
-import pwd
 import socket
 import time
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from queue import SimpleQueue
 from typing import Any
 
 import msgspec
@@ -27,7 +27,7 @@ from rigctl.control.modes import Mode, Setting, Verb
 from rigctl.control.safety import Action, table
 from rigctl.control.trials import AVERAGED_S
 from rigctl.gateway.command_rate import ALL_BURST
-from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS
+from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS, Giver
 from rigctl.gateway.command_socket import PER_USER, TOO_MANY
 from rigctl.gateway.gateway_process import Gateway
 from rigctl.ipc import ledger, runtime_folder
@@ -35,6 +35,8 @@ from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.wire.user_name import PAGE
+from tests.builders.operators import KIM, USER
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
@@ -155,10 +157,6 @@ def test_a_command_without_an_entry_is_logged_without_one(rig: Rig) -> None:
     assert (answered["answered"], answered["entry"]) == (1, b"")
 
 
-OWN = pwd.getpwuid(os.geteuid()).pw_name
-USER = f"process {os.getpid()} of {OWN}"
-
-
 def test_commands_lease_and_refusals_come_by_the_command_socket_with_their_user_on_record(rig: Rig) -> None:
     answer = rig.ask("disarm")
     rig.answer(rig.order(Verb.DISARM))
@@ -167,7 +165,31 @@ def test_commands_lease_and_refusals_come_by_the_command_socket_with_their_user_
     assert rig.client.ask(rig.client.keys.command("disarm"), b"{}")[0] is False
     slots = rig.logged(4)
     assert [bytes(slot["verb"]).decode() for slot in slots] == ["disarm", "disarm", "lease_return", "disarm"]
-    assert {bytes(slot["giver"]).decode() for slot in slots} == {USER}
+    assert {bytes(slot["giver"]).decode() for slot in slots} == {f"process {os.getpid()} of {USER}"}
+    assert {bytes(slot["operator"]).decode() for slot in slots} == {KIM, USER}  # what has no operator is the user's
+
+
+@pytest.mark.parametrize(
+    ("giver", "given", "operator"),
+    [
+        (Giver("", "lab", 7), "anna", "anna (lab)"), (Giver("", "lab", 7), "anna (lab)", "anna (lab)"),
+        (Giver("", "anna", 7), "anna", "anna"), (Giver("", "lab", 7), "anna (root)", "anna (root) (lab)"),
+        (Giver("", PAGE, 7), "anna", "anna"), (Giver("anna"), "kim", "anna"),
+    ],
+)  # fmt: skip
+def test_the_operator_is_who_the_transport_says_with_the_name_given_before_it(
+    rig: Rig, giver: Giver, given: str, operator: str
+) -> None:
+    answers: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    rig.gateway._take("lease_take", msgspec.json.encode({"operator": given}), giver, answers.put)
+    answer = answers.get(timeout=patience_s())
+    assert (answer["operator"], answer["lease"]["holder"]) == (operator, operator)
+    body = {"operator": given, "value": 290.0, "lease": answer["lease"]["id"]}
+    rig.gateway._take("target", msgspec.json.encode(body), giver, answers.put)
+    rig.answer(rig.order(Verb.TARGET))
+    assert answers.get(timeout=patience_s())["operator"] == operator
+    (slot,) = [slot for slot in rig.logged(3) if not slot["answered"]]
+    assert (slot["operator"].decode(), slot["giver"].decode()) == (operator, giver.recorded)
 
 
 def test_states_come_by_the_command_socket(rig: Rig) -> None:
@@ -212,7 +234,7 @@ def test_who_lost_connections_is_on_record_once(rig: Rig) -> None:
     until(noted)
     assert len(noted()) == 1
     (note,) = [one for one in rig.runtime.notes.reader(from_start=True).read() if one["kind"] == Note.CONNECTION_CLOSED]
-    assert (note["other"].decode(), note["reason"].decode().partition(" (")[0]) == (f"local user {OWN}", TOO_MANY)
+    assert (note["other"].decode(), note["reason"].decode().partition(" (")[0]) == (f"local user {USER}", TOO_MANY)
     assert rig.client.state()["rig"] == rig.settings.rig
     for one in idle:
         one.close()
@@ -285,6 +307,6 @@ def test_a_lease_that_lapses_is_noted_also_while_no_command_comes(tmp_path: path
         rig.answer(rig.order(Verb.DISARM))
         assert answer.result(patience_s())["accepted"]
         rig.gateway.publish()
-        until(lambda: (int(Note.LEASE_LAPSED), "kim") in notes(rig.runtime))
+        until(lambda: (int(Note.LEASE_LAPSED), KIM) in notes(rig.runtime))
     finally:
         rig.close()
