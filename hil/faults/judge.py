@@ -281,6 +281,7 @@ def _persistence_s(trip: TripEvent, settings: RigSettings) -> float:
         r
         for r in rows
         if (r.fault, r.text[:TRIP_TEXT]) == (trip.fault, trip.text)
+        and r.action is not safety.Action.LOG
         and math.isclose(r.sign * r.limit, trip.limit, abs_tol=1e-9)
     ]
     return max((row.persistence_ns * 1e-9 for row in same), default=0.0)

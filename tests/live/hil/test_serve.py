@@ -118,7 +118,7 @@ def test_after_sigkill_the_next_one_takes_the_socket_over(
         (r"rate_hz: 1000", "rate_hz: 1e3", 2, "loop.rate_hz"),
         (r"channel: \S+", "channel: /nowhere/rig.sock", 1, "/nowhere/rig.sock: cannot be served"),
         (r"interface: rigsim", "interface: socketcan", 1, "rig.sock"),
-        (r"interface: rigsim", "interface: nonsense", 1, 'Unknown interface type "nonsense"'),
+        (r"interface: rigsim", "interface: nonsense", 2, "found nonsense, expected an interface of python-can"),
     ],
 )
 def test_what_cannot_be_served_is_one_line(

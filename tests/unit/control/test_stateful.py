@@ -56,7 +56,7 @@ class Rig(RuleBasedStateMachine):
         self.watch = WatchLog(SETTINGS, self.rows)
         self.snapshot = replace(GOOD)
         self.t_ns = 0
-        self.since: dict[str, int] = {}  # time at which each signal that is bad now became bad
+        self.since: dict[tuple[Fault, str], int] = {}  # time at which each signal that is bad now became bad
         self.enabled = self.faulted = False
         self.slack = True
         self.asked = 0
@@ -239,9 +239,10 @@ class Rig(RuleBasedStateMachine):
         """The test's own clock of the rig file's rows: none acts before its time, the strongest not after it."""
         for row in self.rows:
             bad = mode in row.modes and row.value(self.snapshot) > row.limit
-            since = self.since.setdefault(row.text, self.t_ns) if bad else self.since.pop(row.text, None)
+            name = row.fault, row.text
+            since = self.since.setdefault(name, self.t_ns) if bad else self.since.pop(name, None)
             due = bad and since is not None and self.t_ns - since >= row.persistence_ns
-            if found is not None and found.text == row.text:
+            if found is not None and (found.fault, found.text) == name:
                 assert due
             if due and row.action is not Action.LOG:
                 assert found is not None
