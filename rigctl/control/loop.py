@@ -10,7 +10,6 @@ import can
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, frequency_trial
 from rigctl.control.cell_correction import CellHistory
-from rigctl.control.checks import Check
 from rigctl.control.clock import Clock
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
@@ -204,7 +203,7 @@ class Loop:
         self._escalate(t_ns)
         self._take_orders(t_ns)
         if self.stop_requested and not machine.stopping:
-            self._stop_until = t_ns + STOP_LIMIT_NS
+            self._stop_until = t_ns + STOP_LIMIT_NS + arming.stopping_ns(self.settings)
             machine.stop()
         orders.prepare(t_ns)
         if machine.taking or machine.resetting:
@@ -493,12 +492,12 @@ class Loop:
             self._logbook.event(now_ns, Kind.SIGNS, value=signs.slope_n_mm, limit=stiffness)
 
     def _finish_stop(self, t_ns: int) -> None:
-        """Once the stroke stands still, let the drive close its brake; end the loop once the brake is closed."""
+        """Once the stroke stands still, let the drive close its brake; end the loop once it is seen off and braked."""
         still = not self._moving()
         late = t_ns >= self._stop_until
         if still or late:
             self.machine.power_off()
-        if (still and not arming.awaited(self.observer.snapshot, self.settings) & Check.SEQUENCE_RUNNING) or late:
+        if (still and self.observer.braked) or late:
             self.finished = True
             inbox = self.inbox
             self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))

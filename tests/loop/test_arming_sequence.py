@@ -212,12 +212,14 @@ def test_a_slack_rope_leaves_nothing_to_test_with(settings: RigSettings, gains: 
         assert told(rig, Kind.BRAKE_TEST) == ["brake test not possible: the rope is slack"]
 
 
-@pytest.mark.starts_in(Mode.COMPENSATING)
-def test_the_daemon_ends_after_the_brake_has_had_its_time(rig: Lockstep) -> None:
+@pytest.mark.parametrize("rig", [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING], indirect=["rig"])
+def test_the_daemon_ends_after_the_brake_has_had_its_time_and_may_release_the_drive(rig: Lockstep) -> None:
+    """Else the drive would miss the commands after the end, and the next start would find it in a fault."""
     rig.loop.stop_requested = True
     while not rig.loop.finished:
         rig.loop.tick()
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
+    assert rig.loop.drive_off
 
 
 def test_both_checks_are_said_in_words() -> None:

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import canopen
@@ -169,11 +169,12 @@ def test_sigterm_in_the_closed_loop_ends_in_hold_with_the_load_carried(running: 
     assert after[0] == pytest.approx(before[0], abs=1.0)
     assert after[1] == pytest.approx(before[1], abs=0.1)
     # The daemon has switched the drive off in order: the next one finds no fault and takes the load over.
-    with daemons.daemon(running.file, running.log.with_name("next.log")):
+    after_it = replace(running, log=running.log.with_name("next.log"))
+    with daemons.daemon(after_it.file, after_it.log):
         if max(late_ms) >= PAUSE_MS:  # a rig without a processor has missed the daemon's end, and is in a fault for it
             daemons.rigctl("reset", file=running.file)
-        assert "HOLD" in running.do("arm")
-        assert running.truth()[0] == pytest.approx(before[0], abs=1.0)
+        assert "HOLD" in after_it.do("arm")
+        assert after_it.truth()[0] == pytest.approx(before[0], abs=1.0)
 
 
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs a second processor")
