@@ -19,6 +19,7 @@ from rigctl.config.settings import RigSettings
 MOST_SHARE = 0.1  # of the rope's set-point: what a frozen cell may do unseen
 SHARE = 0.09  # at which it trips: the rest is for persistence, stop and an error of the stiffness
 LEAST_MM = 0.5  # of stroke, in any case: levels and run-out
+LATCH_MM = 0.1  # beside the motion that is declared: of stretch, from the tension's error when it was latched
 STOP_S = 0.03  # beside the drive's lag and delay: the row's persistence, and the ramp to standstill
 TOLERANCE = 0.2  # of a change of tension: the stiffness may be off by so much, as in the family of the design
 
@@ -31,7 +32,8 @@ class UnseenTravel:
         plant, safety = settings.plant, settings.safety
         self._stiffness, self._length_mm = plant.slow_stiffness_n_mm, plant.rope_length_mm
         self._settings = settings
-        self._heave_mm, self._in_time_mm = safety.heave_mm or 0.0, frozen_mm(settings, detection_s)
+        self._heave_mm = (safety.heave_mm or 0.0) + LATCH_MM
+        self._in_time_mm = frozen_mm(settings, detection_s) + LATCH_MM
         self._stop_s = plant.cylinder_lag_s + plant.command_delay_s + STOP_S
         self._before = max(1, round(detection_s / step_s))  # judgements
         self.end()

@@ -76,6 +76,15 @@ def test_a_declared_heave_may_go_unseen_and_a_frozen_cell_behind_it_only_until_t
     assert frozen_mm(PAPER, 10.0) == 0.0
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_payload_that_moves_as_far_as_declared_does_not_trip(way: float) -> None:
+    """Its tension was latched with an error of the law's."""
+    travel = UnseenTravel(with_heave(heave_mm=10.0), 10.0, 1.0)
+    assert not look(travel, 50.0, 300.0 + 0.3 * way)
+    assert not look(travel, 50.0 + 10.0 * way)
+    assert look(travel, 50.0 + 10.2 * way)
+
+
 def test_after_the_end_it_begins_anew() -> None:
     travel = started()
     travel.end()
