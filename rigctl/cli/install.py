@@ -32,6 +32,9 @@ def install(
     operator: Annotated[
         str | None, typer.Option(metavar="USER", help="User of this computer who may command its rigs from now on.")
     ] = None,
+    viewer: Annotated[
+        str | None, typer.Option(metavar="USER", help="User of this computer who may read them from now on.")
+    ] = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="Start the services too.")] = True,
 ) -> None:
     """Install a rig as services: settings to /etc/rigctl, units, CAN interface; data are kept. Repeat it to upgrade."""
@@ -39,6 +42,7 @@ def install(
     from rigctl.cli import install_files as files
     from rigctl.cli.check import accepted, verdict
     from rigctl.cli.install_target import ServiceError, Target, deploy_folder, program
+    from rigctl.ipc.writers import OPERATORS, VIEWERS
 
     if not accepted(settings):
         end(BAD, f"{file}: {verdict(settings)}")
@@ -56,7 +60,8 @@ def install(
     changed += target.drop_stale(settings.rig, own, cpus)
     if target.is_live:
         try:
-            target.activate(settings.rig, files.units(settings), start=start, operator=operator)
+            members = {OPERATORS: operator, VIEWERS: viewer}
+            target.activate(settings.rig, files.units(settings), start=start, members=members)
         except ServiceError as error:
             end(BAD, str(error))
     _say_end(settings, target, changed, started=start)

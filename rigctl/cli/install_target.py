@@ -7,7 +7,7 @@ import pathlib
 import re
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 from rigctl.cli.install_files import (
     NETWORK,
@@ -23,7 +23,7 @@ from rigctl.cli.install_files import (
 )
 from rigctl.config import rig_file
 from rigctl.ipc import whole_file
-from rigctl.ipc.writers import OPERATORS, WRITERS
+from rigctl.ipc.writers import WRITERS
 
 PACKAGED_UNIT = "usr/lib/systemd/system/rigctl@.service"
 UNSEEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")
@@ -196,10 +196,10 @@ class Target:
         return self.remove(self._of_rig(rig))
 
     # -- services -------------------------------------------------------------------------------------------
-    def activate(self, rig: str, units: list[str], *, start: bool, operator: str | None = None) -> None:
+    def activate(self, rig: str, units: list[str], *, start: bool, members: Mapping[str, str | None]) -> None:
         """Make users and folders, load the units, enable and start them; a daemon that runs goes on as it is.
 
-        ``operator``: a user who joins the operators' group.
+        ``members``: by group, a user who joins it.
 
         Raises:
             ServiceError: a step failed; the files stay, and the command may be given again.
@@ -207,8 +207,9 @@ class Target:
         page = f"rigctl-page@{rig}.service"
         self.was_running = _succeeds("systemctl", "--quiet", "is-active", f"rigctl@{rig}.service")
         self._do("systemd-sysusers")
-        if operator is not None:
-            self._do("usermod", "--append", "--groups", OPERATORS, "--", operator)
+        for group, user in members.items():
+            if user is not None:
+                self._do("usermod", "--append", "--groups", group, "--", user)
         self._do("systemd-tmpfiles", "--create", "rigctl.conf", *self._own_folders(rig))
         self.reload()
         if any("networkd" in unit for unit in units):

@@ -15,15 +15,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import pathlib
 import pwd
 import resource
 import select
 import socket
-import struct
 from collections import deque
-from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
+from rigctl.ipc import access_list
+from rigctl.ipc.access_list import READ_WRITE
 from rigctl.ipc.hold_socket import (
     CREDENTIALS,
     CREDENTIALS_ROOM,
@@ -41,10 +42,6 @@ _ARMED = select.EPOLLIN | select.EPOLLONESHOT
 _WRITES = bytes(ord("?") if code < 0x20 or code == 0x7F else code for code in range(256))  # on a terminal
 _SO_PASSRIGHTS = 83  # <asm-generic/socket.h>
 _PEEK = socket.MSG_DONTWAIT | socket.MSG_PEEK
-_ACCESS_LIST = "system.posix_acl_access"
-_ENTRY = struct.Struct("<HHI")  # struct posix_acl_xattr_entry: tag, permissions, id
-_VERSION, _NO_ID, _READ_WRITE = struct.pack("<I", 2), 0xFFFFFFFF, 6
-_OWNER, _USER, _GROUP, _MASK, _OTHER = 0x01, 0x02, 0x04, 0x10, 0x20
 
 
 class Hold(NamedTuple):
@@ -93,17 +90,19 @@ class HoldSockets:
         for path in runtime.directory.glob(f"{HOLD_SOCKETS}*"):
             path.unlink()
         apart, own = _users(), os.geteuid()
-        self._open(runtime, own, None)
+        self._open(runtime, own)
         try:
             for uid in apart:
                 if uid != own:
-                    self._open(runtime, uid, _access_list({uid: _READ_WRITE}, 0))
+                    access_list.admit(self._open(runtime, uid), users={uid: READ_WRITE})
         except OSError:  # a file system without access lists: all others share a socket
             runtime.place(socket_name(uid)).unlink(missing_ok=True)
             apart = []
-        self._open(runtime, None, _access_list(dict.fromkeys(apart, 0), _READ_WRITE) if apart else None)
+        others = self._open(runtime, None)
+        if apart:
+            access_list.admit(others, users=dict.fromkeys(apart, 0), others=READ_WRITE)
 
-    def _open(self, runtime: Runtime, uid: int | None, access_list: bytes | None) -> None:
+    def _open(self, runtime: Runtime, uid: int | None) -> pathlib.Path:
         place = runtime.place(socket_name(uid))
         one = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         one.setblocking(False)
@@ -112,10 +111,9 @@ class HoldSockets:
             one.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, 0)
         one.bind(str(place))
         place.chmod(0o666 if uid is None else 0o600)
-        if access_list is not None:
-            os.setxattr(place, _ACCESS_LIST, access_list)
         self._sockets[one.fileno()] = one
         self._epoll.register(one, _ARMED)
+        return place
 
     def take(self, t_ns: int) -> Hold | None:
         """See `HoldSource`."""
@@ -167,12 +165,3 @@ def _users() -> list[int]:
     found = {entry.pw_uid for entry in pwd.getpwall()}
     descriptors, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
     return sorted(found, key=lambda uid: (0 < uid < 1000, uid))[: min(USERS_MAX, descriptors // 4)]
-
-
-def _access_list(users: dict[int, int], others: int) -> bytes:
-    """Permissions of the owner, of each user, and of all others, see acl(5)."""
-    rows: Iterable[tuple[int, int, int]] = (
-        (_OWNER, _READ_WRITE, _NO_ID), *((_USER, allowed, uid) for uid, allowed in sorted(users.items())),
-        (_GROUP, others, _NO_ID), (_MASK, _READ_WRITE, _NO_ID), (_OTHER, others, _NO_ID),
-    )  # fmt: skip
-    return _VERSION + b"".join(_ENTRY.pack(*row) for row in rows)

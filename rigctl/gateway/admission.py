@@ -12,10 +12,11 @@ import secrets
 import zenoh
 
 from rigctl.config.settings import RigSettings
-from rigctl.gateway.kept_places import KeptPlaces, local_operators
+from rigctl.gateway.kept_places import KeptPlaces, local_users
 from rigctl.gateway.places import Rules
 from rigctl.identity.key_folder import KeyFolder
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.ipc.writers import OPERATORS, VIEWERS
 from rigctl.wire.access_control import access_control
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import open_router
@@ -29,7 +30,7 @@ class Admission:
     def __init__(self, settings: RigSettings) -> None:
         self._settings = settings
         self._folder = KeyFolder(settings.key_folder) if settings.key_folder is not None else None
-        self._rules = Rules(local_operators())
+        self._rules = Rules(local_users(OPERATORS))
         self.own_zid = f"1{secrets.token_hex(15)}"
         """Zenoh's id of the gateway's own session for commands; Zenoh takes no leading 0."""
         self._edition = self._folder.edition() if self._folder is not None else None
@@ -53,8 +54,8 @@ class Admission:
         certificates = self._folder.certificates()
         valid = [one for one in certificates if one.is_valid(now) and one.role in PEOPLE]
         commanding = [one.common_name for one in valid if one.role.includes(Role.OPERATOR)]
-        own = local_operators()  # on the socket in the run-time folder
-        self._rules = Rules(own.union(commanding), own.union(one.common_name for one in valid))
+        known = local_users(OPERATORS, VIEWERS).union(one.common_name for one in valid)
+        self._rules = Rules(local_users(OPERATORS).union(commanding), known)
         access = access_control(rig, self.own_zid, certificates, now)
         return open_router(listen, join, self._folder.gateway_credentials(), access)
 

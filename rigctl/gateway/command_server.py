@@ -32,6 +32,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
+from rigctl.ipc.writers import OPERATORS
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
@@ -66,12 +67,14 @@ Reply = Callable[[dict[str, Any]], None]
 class Giver:
     """Who gives a command, as the transport shows it.
 
-    ``person``: name in a certificate. ``user``, ``process``: of this computer, as the kernel says.
+    ``person``: name in a certificate. ``user``, ``process``: of this computer, as the kernel says. ``commands``: he may
+    command, and not only give HOLD.
     """
 
     person: str = ""
     user: str = ""
     process: int = 0
+    commands: bool = True
 
     def operator(self, given: str = "") -> str:
         """The operator's name, of which a request may say a part."""
@@ -203,6 +206,10 @@ class CommandServer:
             self.refuse(name, str(error), giver, reply)
             return
         request = replace(request, operator=giver.operator(request.operator))
+        if not giver.commands and request.command != "hold":  # which every user of this computer gives
+            why = f"{giver.user} reads the rig; its commands are for the group {OPERATORS}"
+            self._refuse(refused(request.command, request.operator, "not_allowed", why), giver, reply)
+            return
         if isinstance(request, Request) and request.verb is Verb.HOLD:
             elsewhere = self._meant_for_another(request)
             if elsewhere is not None:

@@ -1,9 +1,9 @@
 """Commands and the state on a Unix stream socket in the run-time folder, for the users of this computer.
 
-The kernel lets only the daemon's user and the operators' group open it, and names the user and process of each
-connection. Nobody's connections take another's place or memory: of one user at most ``PER_USER`` stay, a connection has
-one question at a time and is read no further before the answer is sent, and a follower that does not read gets the
-newest state when it does. Messages are in `rigctl.wire.socket_message`.
+The kernel lets only the daemon's user, operators and viewers open it, and names the user and process of each
+connection; viewers read. Nobody's connections take another's place or memory: of one user at most ``PER_USER`` stay, a
+connection has one question at a time and is read no further before the answer is sent, and a follower that does not
+read gets the newest state when it does. Messages are in `rigctl.wire.socket_message`.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ import msgspec
 
 from rigctl.config.one_line import on_one_line
 from rigctl.gateway.command_server import Giver, Reply
-from rigctl.gateway.local_peer import LocalPeer, may_command, peer_of
-from rigctl.ipc import writers
+from rigctl.gateway.local_peer import LocalPeer, is_admitted, peer_of
 from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.runtime_folder import FolderError, Runtime
+from rigctl.ipc.writers import OPERATORS, VIEWERS
 from rigctl.wire.socket_message import (
     COMMAND,
     LONGEST_QUESTION,
@@ -44,7 +44,7 @@ from rigctl.wire.socket_message import (
 
 PER_USER = 32  # connections; a terminal has one, a page two
 PATH_BYTES = 107  # of struct sockaddr_un, without the zero at the end
-NOT_ALLOWED = "not the daemon's user, root or a member of the operators' group"
+NOT_ALLOWED = f"not the daemon's user, root or a member of the groups {OPERATORS} and {VIEWERS}"
 TOO_MANY = f"more than {PER_USER} connections of one user; the oldest idle one is closed for the newest"
 ALL_BUSY = f"more than {PER_USER} connections of one user, each with a command under way; the newest is closed"
 _BACKLOG = 128
@@ -78,26 +78,19 @@ def listening(runtime: Runtime) -> socket.socket:
         made.bind(str(place))
         made.setblocking(False)
         made.listen(_BACKLOG)
-        if (group := operators_group(runtime)) >= 0:
-            os.chown(place, -1, group, follow_symlinks=False)
-            place.chmod(0o660)
+        runtime.let_members_connect(place)
     except OSError:
         made.close()
         raise
     return made
 
 
-def operators_group(runtime: Runtime) -> int:
-    """The group whose members command: of the installed service alone; else -1."""
-    return writers.group_id(writers.OPERATORS) if runtime.is_shared else -1
-
-
 class _LocalConnection:
     """One connection, its question and what is to be sent on it."""
 
-    def __init__(self, own: socket.socket, peer: LocalPeer, used: int) -> None:
+    def __init__(self, own: socket.socket, peer: LocalPeer, used: int, *, commands: bool) -> None:
         self.own, self.peer, self.used = own, peer, used
-        self.giver = Giver(user=peer.name, process=peer.pid)
+        self.giver = Giver(user=peer.name, process=peer.pid, commands=commands)
         self.splitter, self.out = Splitter(LONGEST_QUESTION), bytearray()
         self.asked = 0  # number of the question without an answer
         self.follows = 0  # number of the question since which it gets the states
@@ -121,7 +114,7 @@ class CommandSocket:
             OSError: it cannot be made.
         """
         self._take, self._state = take, state
-        self._operators = operators_group(runtime)
+        self._members = runtime.members
         self._listener = listening(runtime)
         self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         self._epoll = select.epoll()
@@ -222,11 +215,12 @@ class CommandSocket:
         own.setblocking(False)
         try:
             peer = peer_of(own)
-            one = _LocalConnection(own, peer, next(self._uses))
+            commands = is_admitted(peer, os.geteuid(), self._members[0])
+            one = _LocalConnection(own, peer, next(self._uses), commands=commands)
         except OSError:
             own.close()
             return
-        if not may_command(peer, os.geteuid(), self._operators):
+        if not is_admitted(peer, os.geteuid(), *self._members):
             self._end(one, "not_allowed", f"{peer.name} is {NOT_ALLOWED}")
             return
         same = [other for other in self._of.values() if other.peer.uid == peer.uid]

@@ -245,7 +245,7 @@ class Gateway:
         self._socket = CommandSocket(runtime, self._take, lambda: self._view.newest)
         refuse_duplicate_name(keys, telemetry.join)
         self._session = self._admission.open_router(socket)
-        runtime.let_operators_connect()
+        runtime.let_members_connect(runtime.gateway_socket)
         public = {"rig": settings.rig, "listen": telemetry.listen, "run_id": run_id, "join": telemetry.join}
         runtime.write_json(PUBLIC, public, PUBLIC_MODE)
         self._places = self._admission.places(self._session, socket)

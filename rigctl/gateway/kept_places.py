@@ -13,7 +13,6 @@ from rigctl.gateway.accepted_sockets import AcceptedSockets, user
 from rigctl.gateway.places import Connection, Rules, closed
 from rigctl.gateway.refused_access import RefusedAccess
 from rigctl.ipc.notes import Note
-from rigctl.ipc.writers import OPERATORS
 
 
 class KeptPlaces:
@@ -46,9 +45,10 @@ def _shown(one: Connection) -> str:
     return f"certificate {one.identity}" if "." in one.identity and one.identity != one.source else one.identity
 
 
-def local_operators() -> frozenset[str]:
-    """Users of this computer who may command where there are no certificates: root, this user, and the group's."""
+def local_users(*groups: str) -> frozenset[str]:
+    """Users of this computer who may open the router's socket as members of ``groups``, root and this user."""
     uids = {0, os.geteuid()}
-    with contextlib.suppress(KeyError):  # no such group, or a member without an account
-        uids |= {pwd.getpwnam(name).pw_uid for name in grp.getgrnam(OPERATORS).gr_mem}
+    for group in groups:
+        with contextlib.suppress(KeyError):  # no such group, or a member without an account
+            uids |= {pwd.getpwnam(name).pw_uid for name in grp.getgrnam(group).gr_mem}
     return frozenset(map(user, uids))

@@ -1,4 +1,4 @@
-"""Who is at the other end of a Unix stream socket, and whether he may command: as the kernel says.
+"""Who is at the other end of a Unix stream socket, and whether he is admitted: as the kernel says.
 
 The groups are those of his process, not of the user database: to look them up there may wait for a server, and a
 service unit's ``SupplementaryGroups=`` would not count. The database is asked only where the kernel does not say.
@@ -56,6 +56,6 @@ def _in_database(uid: int, gid: int) -> set[int]:
         return set()
 
 
-def may_command(peer: LocalPeer, own_uid: int, operators: int) -> bool:
-    """Whether he may command: the daemon's user, root, and members of the group ``operators`` (-1: there is none)."""
-    return peer.uid in (0, own_uid) or operators in peer.groups
+def is_admitted(peer: LocalPeer, own_uid: int, *groups: int) -> bool:
+    """Whether he is the daemon's user, root, or a member of one of ``groups`` (-1: there is none)."""
+    return peer.uid in (0, own_uid) or not peer.groups.isdisjoint(groups)

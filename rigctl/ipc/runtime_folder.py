@@ -14,9 +14,9 @@ daemon by ``public.json`` and ``lock``, and give it HOLD. Its processes open eve
 folder that each of them has checked (`Runtime.entered`).
 
 The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder's
-group lists it (0751) and reads rings and files (0640), the group ``rigctl-operator`` opens ``gateway.sock`` and
-``command.sock``, and what another process than supervisor and loop writes is in a folder or of a group of its own
-(`rigctl.ipc.writers`).
+group lists it (0751) and reads rings and files (0640), the groups ``rigctl-operator`` and ``rigctl-viewer`` open
+``gateway.sock`` and ``command.sock``, and what another process than supervisor and loop writes is in a folder or of a
+group of its own (`rigctl.ipc.writers`).
 
 What reads only the small files uses `rigctl.ipc.folder_files`, which loads no numpy.
 """
@@ -37,7 +37,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 
 from rigctl.config import layout
-from rigctl.ipc import record, whole_file, writers
+from rigctl.ipc import access_list, record, whole_file, writers
 from rigctl.ipc.folder_files import DESIGN, RECORDED, REFUSED, FolderFiles
 from rigctl.ipc.folder_places import ACTIVE, GATEWAY_SOCKET, LOCK, LONGEST_LOCK, daemon_pid, digest
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
@@ -397,16 +397,22 @@ class Runtime(FolderFiles):
         """Socket of the gateway's router: for the gateway's command session, and for who may command."""
         return self.place(GATEWAY_SOCKET)
 
-    def let_operators_connect(self) -> None:
-        """Open the gateway's socket to its user, and of the installed service to the operators' group.
+    @property
+    def members(self) -> tuple[int, int]:
+        """The groups of operators and of viewers: of the installed service alone, -1 without one."""
+        names = (writers.OPERATORS, writers.VIEWERS)
+        operators, viewers = (writers.group_number(name) if self._shared else -1 for name in names)
+        return operators, viewers
+
+    def let_members_connect(self, place: pathlib.Path) -> None:
+        """Open a socket of the gateway's to its user, and of the installed service to operators and viewers.
 
         Raises:
-            OSError: there is none.
+            OSError: there is none, or the file system has no access lists.
         """
-        group = writers.group_id(writers.OPERATORS) if self._shared else -1
-        if group >= 0:
-            os.chown(self.gateway_socket, -1, group, follow_symlinks=False)
-        self.gateway_socket.chmod(0o600 if group < 0 else 0o660)
+        place.chmod(0o600)
+        if groups := [group for group in self.members if group >= 0]:
+            access_list.admit(place, groups=groups)
 
     def write_json(self, name: str, value: Any, mode: int | None = None) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.

@@ -15,6 +15,8 @@ RINGS = "rings"
 """Folder of all rings: only the daemon's processes enter it."""
 OPERATORS = "rigctl-operator"
 """Group whose members command the installed service."""
+VIEWERS = "rigctl-viewer"
+"""Group whose members read it."""
 
 
 class Writer(NamedTuple):
@@ -43,10 +45,15 @@ FOLDER_OF = {
 GROUP_OF = {ring: writer.group for writer in WRITERS.values() for ring in writer.rings}
 
 
-def group_id(name: str) -> int:
-    """A group that this process may give its files to; -1 without one."""
+def group_number(name: str) -> int:
+    """A group of this computer; -1 without one."""
     try:
-        found = grp.getgrnam(name).gr_gid
+        return grp.getgrnam(name).gr_gid
     except KeyError:
         return -1
+
+
+def group_id(name: str) -> int:
+    """A group that this process may give its files to; -1 without one."""
+    found = group_number(name)
     return found if os.geteuid() == 0 or found in (os.getegid(), *os.getgroups()) else -1

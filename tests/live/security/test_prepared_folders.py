@@ -29,7 +29,7 @@ from tests.builders.waiting import patience_s, until
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 VICTIMS = ("records", "commands", "active.json", "lock", "calibration.json", "lease.json", "gateway.cursor")
-OPERATORS_GROUP = 4322
+OPERATORS_GROUP, VIEWERS_GROUP = 4322, 4323
 PROCESSES = ("rigctl.recorder", "rigctl.control", "rigctl.gateway.gateway_process")
 
 
@@ -164,8 +164,9 @@ def test_the_services_folder_lets_its_group_read_and_everyone_find_the_rig(
     monkeypatch.chdir(service.gateway_socket.parent)  # its path may be too long for a socket
     with socket.socket(socket.AF_UNIX) as listening:
         listening.bind(service.gateway_socket.name)
-    monkeypatch.setattr(writers, "group_id", lambda _name: OPERATORS_GROUP)
-    service.let_operators_connect()
+    groups = {writers.OPERATORS: OPERATORS_GROUP, writers.VIEWERS: VIEWERS_GROUP}
+    monkeypatch.setattr(writers, "group_number", groups.__getitem__)
+    service.let_members_connect(service.gateway_socket)
     assert stat.S_IMODE(service.directory.stat().st_mode) == 0o751
     assert service.lost() == ""
     folder = service.directory
@@ -186,6 +187,7 @@ def test_the_services_folder_lets_its_group_read_and_everyone_find_the_rig(
     assert may("r", service.place(PUBLIC), NOBODY)
     assert not may("r", service.place(IN_FORCE), 4321)
     assert may("w", service.gateway_socket, OPERATORS_GROUP)
+    assert may("w", service.gateway_socket, VIEWERS_GROUP)
     for group in (4321, NOBODY):
         assert not may("w", service.gateway_socket, group)
     assert not may("r", folder, NOBODY)

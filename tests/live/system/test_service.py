@@ -36,7 +36,7 @@ FOLDER = f"/run/rigctl/rigctl-{NAME}"
 WRITERS = {"commands": "rigctl-gateway", "desk": "rigctl-gateway", "notes": "rigctl-gateway"}
 LENT = 1 << CAP_SYS_NICE | 1 << CAP_IPC_LOCK
 WITH_REAL_TIME = (DAEMON, SIMULATED)
-OPERATOR, STRANGER = "kim", "vera"
+OPERATOR, VIEWER, STRANGER = "kim", "lee", "vera"
 NEEDS = os.geteuid() == 0 and all(map(shutil.which, ("systemctl", "unshare", "nsenter", "dpkg-deb")))
 pytestmark = [
     pytest.mark.machine,
@@ -78,9 +78,10 @@ def computer(packages: list[pathlib.Path], tmp_path_factory: pytest.TempPathFact
             made.insist(*shlex.split(command))
         assert mode(made) in ("HOLD", "FAULT")  # FAULT: a loop on a busy machine tripped since
         made.patient()
-        made.done("useradd", OPERATOR)
-        made.done("useradd", STRANGER)
-        made.done("rigctl", "install", f"/etc/rigctl/{NAME}.yaml", "--operator", OPERATOR)
+        for user in (OPERATOR, VIEWER, STRANGER):
+            made.done("useradd", user)
+        members = ("--operator", OPERATOR, "--viewer", VIEWER)
+        made.done("rigctl", "install", f"/etc/rigctl/{NAME}.yaml", *members)
         yield made
 
 
@@ -226,10 +227,10 @@ def test_what_another_user_may_read_is_the_public_file(computer: ServiceComputer
     assert read == {f"{FOLDER}/{name}" for name in public}
     assert given_by(computer, STRANGER, "ls", "/var/lib/rigctl").returncode != 0
     assert given_by(computer, OPERATOR, "cat", f"{FOLDER}/gateway/lease.json").returncode != 0
-    socket = f"{FOLDER}/gateway/gateway.sock"
-    assert computer.done("stat", "-c", "%a %G", socket).split() == ["660", "rigctl-operator"]
-    assert given_by(computer, OPERATOR, "test", "-w", socket).returncode == 0
-    assert given_by(computer, STRANGER, "test", "-w", socket).returncode != 0
+    for socket in (f"{FOLDER}/gateway/gateway.sock", f"{FOLDER}/gateway/command.sock"):
+        may = {user: given_by(computer, user, "test", "-w", socket).returncode == 0
+               for user in (OPERATOR, VIEWER, STRANGER, "rigctl-page")}  # fmt: skip
+        assert may == {OPERATOR: True, VIEWER: True, STRANGER: False, "rigctl-page": True}
 
 
 def test_no_service_renames_anothers_folder_and_the_gateway_reads_no_recording(computer: ServiceComputer) -> None:
@@ -253,6 +254,18 @@ def test_an_operator_of_the_group_commands_and_gives_hold_on_the_local_socket(co
     assert held.returncode == 0, held.stderr
     assert json.loads(held.stdout)["via"] == "local socket"
     assert given_by(computer, OPERATOR, "rigctl", "disarm").returncode == 0
+
+
+def test_a_viewer_reads_on_the_socket_and_commands_nothing(computer: ServiceComputer) -> None:
+    disarm(computer)
+    state = given_by(computer, VIEWER, "rigctl", "status", "--json")
+    assert json.loads(state.stdout)["mode"] == "DISARMED"
+    assert "not verified" not in state.stderr
+    refused = given_by(computer, VIEWER, "rigctl", "arm")
+    assert (refused.returncode, refused.stderr) == (
+        1, f"rigctl: ARM refused: {VIEWER} reads the rig; its commands are for the group rigctl-operator\n",
+    )  # fmt: skip
+    assert mode(computer) == "DISARMED"
 
 
 def test_another_user_reads_telemetry_and_may_hold_but_commands_nothing(computer: ServiceComputer) -> None:

@@ -49,7 +49,7 @@ OFFLINE = (
     "replay RUN --json", "replay RUN --against RIG --plot FOLDER/replay.svg --json",
     "audit verify LOG --head HEAD --json",
     "audit show LOG --last 2 --since 2025-01-01T00:00:00Z --what trip --who kim --json",
-    "install config/rig.yaml --dry-run --root FOLDER/root --adapter A1 --operator root --start",
+    "install config/rig.yaml --dry-run --root FOLDER/root --adapter A1 --operator root --viewer root --start",
     "install config/rig.yaml --root FOLDER/root --no-start",
     "uninstall rig --root INSTALLED --dry-run",
     "bridge plotjuggler --layout -", "bridge foxglove --layout FOLDER/layout.json",

@@ -34,7 +34,7 @@ from tests.builders.waiting import patience_s, until
 OWN = os.geteuid()
 ROOT = pytest.mark.skipif(OWN != 0, reason="needs root, to run processes of other users")
 NOBODY = pwd.getpwnam("nobody").pw_uid
-OPERATORS = 4242
+OPERATORS, VIEWERS = 4242, 4243
 STATE = b'{"mode":"HOLD"}'
 ASK = """
 import os, pathlib, sys
@@ -112,11 +112,12 @@ def gateway(runtime: Runtime) -> Iterator[Gateway]:
 
 @pytest.fixture
 def service(monkeypatch: pytest.MonkeyPatch) -> Iterator[Gateway]:
-    """In a folder as of the installed service, whose operators' group is ``OPERATORS``."""
+    """In a folder as of the installed service, whose groups are ``OPERATORS`` and ``VIEWERS``."""
     base = layout.SHARED_MEMORY / f"rigctl-test-command-{os.getpid()}"
     base.mkdir(mode=0o755)
     monkeypatch.setattr(layout, "RUN", base)
-    monkeypatch.setattr(writers, "group_id", lambda name: OPERATORS if name == writers.OPERATORS else -1)
+    groups = {writers.OPERATORS: OPERATORS, writers.VIEWERS: VIEWERS}
+    monkeypatch.setattr(writers, "group_number", lambda name: groups.get(name, -1))
     runtime = Runtime.of("paper_rig", base)
     runtime.claim()
     found = Gateway(runtime)
@@ -167,10 +168,12 @@ def test_a_path_that_is_too_long_is_one_line(tmp_path: pathlib.Path) -> None:
 
 
 @ROOT
-def test_of_the_service_members_of_the_operators_group_command_and_no_other_user(service: Gateway) -> None:
-    assert stat.S_IMODE(service.place.stat().st_mode) == 0o660
-    assert by(NOBODY, service, OPERATORS).startswith("(True, ")
-    assert [giver.user for _, _, giver in service.given] == ["nobody"]
+def test_of_the_service_members_of_the_two_groups_are_admitted_and_no_other_user(service: Gateway) -> None:
+    assert service.place.stat().st_gid == os.getegid()  # a member of the file's own group is none of them
+    for group in (OPERATORS, VIEWERS):
+        assert by(NOBODY, service, group).startswith("(True, ")
+    assert [(giver.user, giver.commands) for _, _, giver in service.given] == [("nobody", True), ("nobody", False)]
+    service.given.pop()
     assert by(NOBODY, service) == "Permission denied"
     service.place.chmod(0o666)  # even if anyone could open it
     refused = by(NOBODY, service)

@@ -192,6 +192,20 @@ def test_the_operator_is_who_the_transport_says_with_the_name_given_before_it(
     assert (slot["operator"].decode(), slot["giver"].decode()) == (operator, giver.recorded)
 
 
+def test_a_viewers_command_is_refused_and_his_hold_is_not(rig: Rig) -> None:
+    answers: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    viewer, body = Giver("", "vera", 7, commands=False), msgspec.json.encode({"operator": "kim"})
+    for name, verb in (("arm", "ARM"), ("lease_take", "LEASE")):
+        rig.gateway._take(name, body, viewer, answers.put)
+        answer = answers.get(timeout=patience_s())
+        assert (answer["accepted"], answer["reason"], answer["operator"]) == (False, "not_allowed", "kim (vera)")
+        assert answer["text"] == f"{verb} refused: vera reads the rig; its commands are for the group rigctl-operator"
+    assert {slot["giver"].decode() for slot in rig.logged(2)} == {"process 7 of vera"}
+    rig.gateway._take("hold", body, viewer, answers.put)
+    rig.answer(rig.order(Verb.HOLD))
+    assert answers.get(timeout=patience_s())["accepted"]
+
+
 def test_states_come_by_the_command_socket(rig: Rig) -> None:
     states = rig.client.follow(rig.client.keys.state)
     until(lambda: rig.gateway._socket._followed)
