@@ -67,6 +67,12 @@ class AcceptedSockets:
                 self._ports.add(int(where.rpartition(":")[2]))
         self._known: dict[tuple[int, int], _Accepted | None] = {}  # by descriptor and inode; None: no such connection
         self._number = 0
+        self._listening = set[tuple[int, int]]()  # by descriptor and inode
+
+    @property
+    def listens(self) -> bool:
+        """Whether the router had its endpoint of the network at the last `read`."""
+        return bool(self._listening) or not self._ports
 
     def read(self, info: zenoh.SessionInfo, now_s: float) -> list[Connection]:
         """Every connection now."""
@@ -83,6 +89,7 @@ class AcceptedSockets:
                         new[mark] = made
         for mark in self._known.keys() - present:
             del self._known[mark]
+        self._listening &= present
         self._name_users(new.values())
         accepted = [one for one in self._known.values() if one is not None]
         self._name_sessions(accepted, info)
@@ -103,6 +110,8 @@ class AcceptedSockets:
                 return None
             here = own.getsockname()
             if own.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
+                if own.family in (socket.AF_INET, socket.AF_INET6) and here[1] in self._ports:
+                    self._listening.add((fd, inode))
                 return None
             if own.family == socket.AF_UNIX and here in self._paths:
                 pid, uid, _ = _CREDENTIALS.unpack(own.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))

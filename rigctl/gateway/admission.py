@@ -37,18 +37,22 @@ class Admission:
         self.keys = Keys(settings.rig, ANY_PERSON if self._folder is not None else "")
         """The rig's keys; with certificates those of the commands over TLS carry the person's name."""
 
-    def open_router(self, socket: str) -> zenoh.Session:
+    def open_router(self, socket: str, *, again: bool) -> zenoh.Session:
         """Open the router; ``socket``: its second endpoint, for the gateway's own session and for this computer.
 
+        ``again``: a gateway of this run has listened at the first one before. Another program that has taken it must
+        not keep this computer's users from the rig, so it is tried until it is free.
+
         Raises:
-            SessionError: the endpoint cannot be opened.
+            SessionError: an endpoint cannot be opened.
             KeyFolderError: the key folder cannot be used, or the gateway's certificate has expired.
         """
         telemetry = self._settings.telemetry
         listen = [telemetry.listen, socket]
         rig, join = self._settings.rig, telemetry.join
         if self._folder is None:
-            return open_router(listen, join, access_control=access_control(rig, self.own_zid, joins=bool(join)))
+            access = access_control(rig, self.own_zid, joins=bool(join))
+            return open_router(listen, join, access_control=access, patient=again)
         now = datetime.datetime.now(datetime.UTC)
         self._folder.check_gateway(now)
         certificates = self._folder.certificates()
@@ -57,7 +61,7 @@ class Admission:
         known = local_users(OPERATORS, VIEWERS).union(one.common_name for one in valid)
         self._rules = Rules(local_users(OPERATORS).union(commanding), known)
         access = access_control(rig, self.own_zid, certificates, now)
-        return open_router(listen, join, self._folder.gateway_credentials(), access)
+        return open_router(listen, join, self._folder.gateway_credentials(), access, patient=again)
 
     def places(self, session: zenoh.Session, socket: str) -> KeptPlaces:
         """The places of the router that was opened."""

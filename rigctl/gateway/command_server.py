@@ -187,6 +187,10 @@ class CommandServer:
         if refusals:
             self._work.put(lambda: self._leases.note_refused_access(refusals, time.monotonic_ns()))
 
+    def note_endpoint(self, endpoint: str, *, is_taken: bool) -> None:
+        """Have noted that another program has the endpoint of the network, or that it is this daemon's again."""
+        self._work.put(lambda: self._leases.note_endpoint(endpoint, time.monotonic_ns(), is_taken=is_taken))
+
     def _note_refused(self) -> None:
         self._leases.note_refused(self._rate.report(), time.monotonic_ns())
 

@@ -51,7 +51,7 @@ from rigctl.ipc import heap, standard_output
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.notes import Note, RequestLog
+from rigctl.ipc.notes import Note, RequestLog, was_taken
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtime
@@ -77,6 +77,7 @@ _JSON = zenoh.Encoding.APPLICATION_JSON
 _READ_NS = 500_000_000  # between two readings of the other processes' files
 _LINK_S = 1.5  # limit for sessions at the routers to join; they are open at once unless the computer is busy
 _JOIN_S = 0.5  # for their answers
+_TAKEN_NS = 1_000_000_000  # without the endpoint of the network until another program has it: Zenoh opens it later
 
 
 class StateView:
@@ -244,11 +245,13 @@ class Gateway:
         # Before the router: a client that finds that one without this socket knows a daemon of a version before.
         self._socket = CommandSocket(runtime, self._take, lambda: self._view.newest)
         refuse_duplicate_name(keys, telemetry.join)
-        self._session = self._admission.open_router(socket)
+        again = runtime.known(PUBLIC).get("run_id") == run_id
+        self._session = self._admission.open_router(socket, again=again)
         runtime.let_members_connect(runtime.gateway_socket)
         public = {"rig": settings.rig, "listen": telemetry.listen, "run_id": run_id, "join": telemetry.join}
         runtime.write_json(PUBLIC, public, PUBLIC_MODE)
-        self._places = self._admission.places(self._session, socket)
+        self._places, self._listen = self._admission.places(self._session, socket), telemetry.listen
+        self._is_taken, self._unheard_ns = was_taken(runtime.notes.reader(from_start=True).read()), 0
         # Commands have a session of their own, so that congestion of the data cannot delay them.
         self._command_session = open_client(socket, zid=self._admission.own_zid)
         self._period_ns = 1_000_000_000 // settings.telemetry.rate_hz
@@ -330,10 +333,22 @@ class Gateway:
             for line in self._log.lines():
                 self._refused.take(line, now_ns)
         self._places.keep(self._refused, now_ns)
+        self._note_endpoint(now_ns)
         while self._socket.closed:
             who, why = self._socket.closed.popleft()
             self._refused.add(Note.CONNECTION_CLOSED, f"{why} of {who}", ("", who, why), now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
+
+    def _note_endpoint(self, now_ns: int) -> None:
+        """Note when another program has the endpoint of the network, and when it is the router's again."""
+        if self._places.listens:
+            self._unheard_ns = 0
+        elif not self._unheard_ns:
+            self._unheard_ns = now_ns
+        is_taken = bool(self._unheard_ns) and (self._is_taken or now_ns - self._unheard_ns > _TAKEN_NS)
+        if is_taken != self._is_taken:
+            self._is_taken = is_taken
+            self._commands.note_endpoint(self._listen, is_taken=is_taken)
 
     def _publish_active(self) -> None:
         if (found := self._active.read()) is not self._active_sent:
@@ -372,7 +387,8 @@ class Gateway:
         self.publish()
         self._socket.close()
         close(self._command_session)
-        close(self._session)
+        if self._places.listens:  # else Zenoh waits 10 s for the task that tries the endpoint again
+            close(self._session)
         self._cursor.close()
 
 

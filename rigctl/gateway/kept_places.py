@@ -21,6 +21,11 @@ class KeptPlaces:
     def __init__(self, session: zenoh.Session, endpoints: list[str], rules: Rules) -> None:
         self._session, self._sockets, self._rules = session, AcceptedSockets(endpoints), rules
 
+    @property
+    def listens(self) -> bool:
+        """Whether the router had its endpoint of the network when `keep` last looked."""
+        return self._sockets.listens
+
     def keep(self, found: RefusedAccess, now_ns: int) -> None:
         """Close what has to be, one note for each kind and identity; call it every period."""
         now_s = now_ns * 1e-9

@@ -109,6 +109,10 @@ class LeaseService:
         for one in refusals:
             self._note(now_ns, one.note, one.who, one.other, one.words)
 
+    def note_endpoint(self, endpoint: str, now_ns: int, *, is_taken: bool) -> None:
+        """Note that another program has the endpoint of the network, or that it is this daemon's again."""
+        self._note(now_ns, Note.ENDPOINT_TAKEN if is_taken else Note.ENDPOINT_BACK, other=endpoint)
+
     def note_alarm(self, request: AlarmRequest, now_ns: int) -> dict[str, Any]:
         """Note what an operator decides about an alarm, which takes no lease; returns the answer."""
         reason = f"{request.for_s} s: {request.reason}" if request.act is AlarmAct.SHELVE else ""

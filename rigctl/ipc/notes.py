@@ -29,6 +29,8 @@ class Note(IntEnum):
     CONNECTION_REFUSED = 67  # reason: what TLS found
     FOREIGN_MESSAGE = 68  # of former versions: the access list refuses all of it now
     CONNECTION_CLOSED = 69  # operator: name in the certificate; other: who and from where; reason: why
+    ENDPOINT_TAKEN = 70  # other: the endpoint, which another program has
+    ENDPOINT_BACK = 71  # other: the endpoint
 
 
 _ALARM_WORDS = {
@@ -72,6 +74,19 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             )
         case Note.LEASE_NOT_BELIEVED:
             return "warning", "lease.json holds no lease to be believed; nobody holds it"
+        case Note.ENDPOINT_TAKEN:
+            return "warning", (
+                f"another program has {other}: who connects there gets nothing of this rig; it is tried until it is "
+                "free. The sockets of this computer work"
+            )
+        case Note.ENDPOINT_BACK:
+            return "info", f"{other} is this daemon's again"
+
+
+def was_taken(notes: np.ndarray) -> bool:
+    """Whether another program had the endpoint of the network at the last of these notes about it."""
+    kinds = [int(note["kind"]) for note in notes if note["kind"] in (Note.ENDPOINT_TAKEN, Note.ENDPOINT_BACK)]
+    return kinds[-1:] == [Note.ENDPOINT_TAKEN]
 
 
 def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:

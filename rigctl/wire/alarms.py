@@ -28,6 +28,8 @@ LASTS_NS = 2_500_000_000
 """Of an event that the loop repeats each second while its cause is there: without another one it is over."""
 LOOP_SILENT = "LOOP_SILENT"
 NOT_WATCHED = "not watched"
+ENDPOINT_TAKEN = "ENDPOINT_TAKEN"
+_ENDPOINT_REMEDY = "End the program at that port; ss -ltnp names it. The sockets of this computer work meanwhile."
 _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 
 
@@ -211,7 +213,8 @@ class Alarms:
         if event.get("source") == "gateway":
             self._decided(event)
         elif kind == "STARTED":
-            self._rows = {cause: replace(row, stands=False, watched=True) for cause, row in self._rows.items()}
+            for cause in self._rows.keys() - {ENDPOINT_TAKEN}:
+                self._change(cause, stands=False, watched=True)
         elif cause := cause_of(event):
             if kind in _ENDS or (kind in ("EMERGENCY", "STROKE") and event.get("severity") == "info"):
                 self._change(cause, stands=False, watched=kind not in _ENDS or not _is_nan(event.get("value")))
@@ -240,7 +243,7 @@ class Alarms:
             self._rows[cause] = replace(self._rows[cause], **fields)
 
     def _decided(self, note: dict[str, Any]) -> None:
-        """A note of the gateway about what an operator decided."""
+        """A note of the gateway: what an operator decided, and its own cause."""
         operator, cause = str(note.get("operator", "")), str(note.get("other", ""))
         match note.get("kind"):
             case "ALARM_ACKNOWLEDGED":
@@ -250,6 +253,11 @@ class Alarms:
                 self._change(cause, shelf=Shelf(operator, found[2], until_ns))
             case "ALARM_UNSHELVED":
                 self._change(cause, shelf=None)
+            case "ENDPOINT_TAKEN":
+                text, at = str(note.get("text", "")), int(note["wall_ns"])
+                self._came(Alarm(ENDPOINT_TAKEN, Priority.LOW, text, _ENDPOINT_REMEDY, at, at, onsets_ns=(at,)))
+            case "ENDPOINT_BACK":
+                self._change(ENDPOINT_TAKEN, stands=False)
 
     def rows(self, state: dict[str, Any] | None, now_ns: int) -> list[Alarm]:
         """Open rows at ``now_ns``, what to look at first first; the newest state says which causes are active.

@@ -109,6 +109,8 @@ NOTES: dict[Note, str] = {
     "address, reason: message and key",
     Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
     Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
+    Note.ENDPOINT_TAKEN: "another program has the endpoint of the network, which a gateway before had; other: it",
+    Note.ENDPOINT_BACK: "the endpoint of the network is the daemon's again; other: it",
     Note.CONNECTION_CLOSED: "the gateway closed a connection to keep the places of others; other: who, reason: why",
     Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
 }

@@ -20,6 +20,7 @@ _RELAYED_BYTES = 1 << 22  # a router that joins others relays their answers: the
 _SESSIONS_MAX = 2048
 _ACCEPTING_MAX = 2048
 _HANDSHAKES_MAX = 512  # over TLS, where each that fails has Zenoh wait 100 ms before it takes the next
+_LISTEN_MS = 2000
 _BATCHES = 16  # of 64 KB per client and priority before DROP drops: bridges 1 s of a busy client at 4 kHz
 
 
@@ -50,12 +51,22 @@ def _config(
     owned: Credentials | None = None,
     access_control: Mapping[str, Any] | None = None,
     zid: str = "",
+    *,
+    patient: bool = False,
 ) -> zenoh.Config:
-    """``rx_bytes``: the longest message accepted, 0 for Zenoh's own limit."""
+    """``rx_bytes``: the longest message accepted, 0 for Zenoh's own limit. ``patient``: see `open_router`."""
+    if patient:
+        # Only the first: Zenoh opens an endpoint with this word in a task, so the others would not be there yet.
+        listen = [f"{listen[0]}#exit_on_failure=false", *listen[1:]]
     tree: dict[str, Any] = {
         **({"id": zid} if zid else {}),
         "mode": mode,
-        "listen": {"endpoints": listen, "timeout_ms": 0, "exit_on_failure": True},
+        "listen": {
+            "endpoints": listen,
+            "timeout_ms": _LISTEN_MS if patient else 0,  # of the others; with 0 the first is tried once
+            "exit_on_failure": True,
+            "retry": {"period_init_ms": 500, "period_max_ms": 1000, "period_increase_factor": 1.5},
+        },
         "connect": {
             "endpoints": connect,
             # A router joins others whenever they appear; a client without its router is of no use and fails at once.
@@ -115,19 +126,21 @@ def open_router(
     join: Sequence[str] = (),
     owned: Credentials | None = None,
     access_control: Mapping[str, Any] | None = None,
+    *,
+    patient: bool = False,
 ) -> zenoh.Session:
     """The gateway's session: clients connect to it, and it relays between them.
 
     ``join``: other routers to form one network with; the connection is retried for ever. ``owned``: the gateway's key,
     for endpoints ``tls/``. ``access_control``: see `rigctl.wire.access_control`; None: everyone may do everything, as
-    in a test's network.
+    in a test's network. ``patient``: the first endpoint is tried until it is free, should another program have it.
 
     Raises:
         SessionError: the endpoint cannot be opened; the message names it and the reason.
     """
     try:
         longest = _RELAYED_BYTES if join else MESSAGE_BYTES
-        return zenoh.open(_config("router", listen, list(join), longest, owned, access_control))
+        return zenoh.open(_config("router", listen, list(join), longest, owned, access_control, patient=patient))
     except zenoh.ZError as error:
         raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import json
 from typing import Any
 
 import pytest
 
 import rigctl.client
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.wire.session import close, open_client
+from rigctl.wire.keys import Keys
+from rigctl.wire.session import SessionError, close, open_client
 from tests.builders.intruder import FORGED, Intruder
 from tests.builders.miniature import Daemon
 from tests.builders.refusals import Refused
@@ -162,3 +164,64 @@ def test_who_takes_the_port_while_the_gateway_is_started_anew_gets_nothing(own: 
         until(commanded, "an answer")
         assert answer["accepted"]  # her lease has outlived it
         assert anna.refusals.count == 0
+
+
+def test_who_keeps_the_port_stops_nobody_on_this_computer(own: Daemon) -> None:
+    """The gateway is started anew without it, the next one too, and one has it again when he has gone."""
+
+    def noted(client: Client) -> list[str]:
+        return [event["kind"] for event in client.past_events() if event["kind"].startswith("ENDPOINT_")]
+
+    with compensating(own) as anna:
+        states = anna.follow(anna.keys.state)
+        with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
+            own.kill_gateway()
+            intruder.wait("port")
+            for _ in range(2):
+                own.start_gateway()
+                own.answers(anna)
+                until(lambda: noted(anna) == ["ENDPOINT_TAKEN"])
+                assert anna.command("target", "anna", 290.0)["accepted"]
+                list(states.arrived())
+                assert until(states.take)["mode"] in ("TENSIONING", "COMPENSATING")
+                assert "ENDPOINT_TAKEN" in own.cli("alarms").stdout
+                assert own.gateway is not None
+                own.gateway.terminate()
+                assert own.gateway.wait(patience_s()) == 0
+        own.start_gateway()
+        own.answers(anna)
+        until(lambda: noted(anna) == ["ENDPOINT_TAKEN", "ENDPOINT_BACK"])
+        (row,) = json.loads(own.cli("alarms", "--json").stdout)
+        assert (row["cause"], row["stands"]) == ("ENDPOINT_TAKEN", False)
+        assert until(lambda: reads(own))
+
+
+def reads(daemon: Daemon) -> bool:
+    """Whether a plain Zenoh program gets the daemon's state at its port."""
+    with contextlib.suppress(SessionError):
+        session = open_client(daemon.endpoint)
+        replies = list(session.get(Keys("paper_rig").state, timeout=patience_s()))
+        close(session)
+        return [reply.ok is not None and b'"loop_alive"' in bytes(reply.ok.payload) for reply in replies] == [True]
+    return False
+
+
+def test_the_port_is_the_routers_again_as_soon_as_it_is_free(own: Daemon) -> None:
+    with compensating(own) as anna:
+        with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
+            own.kill_gateway()
+            intruder.wait("port")
+            own.start_gateway()
+            own.answers(anna)
+        assert until(lambda: reads(own))
+
+
+def test_a_first_gateway_does_not_wait_for_a_port_that_another_program_has(own: Daemon) -> None:
+    """Two rigs of one port, say: refused in one line."""
+    with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
+        own.kill_gateway()
+        intruder.wait("port")
+        own.runtime.write_json("active.json", {**own.runtime.read_json("active.json"), "run_id": "another"})
+        own.start_gateway()
+        assert own.gateway is not None
+        assert own.gateway.wait(patience_s()) == 1

@@ -14,6 +14,7 @@ from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
+from rigctl.ipc.notes import worded as worded_note
 from rigctl.wire.alarm_words import alarm_rows, block, standing, tally
 from rigctl.wire.alarms import (
     CHATTERING_NS,
@@ -230,6 +231,22 @@ def test_a_restart_of_the_loop_ends_what_stood() -> None:
     (row,) = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), event(Kind.STARTED, 1)]
                     ).rows(CALM, 2 * S)  # fmt: skip
     assert not row.stands
+
+
+def test_a_port_that_another_program_has_is_an_alarm_until_it_is_back() -> None:
+    taken, back = (
+        {
+            "source": "gateway", "kind": note.name, "wall_ns": at, "other": "tcp/a:1",
+            "text": worded_note(note, "", "tcp/a:1", "")[1],
+        }
+        for at, note in ((1, Note.ENDPOINT_TAKEN), (2, Note.ENDPOINT_BACK))
+    )  # fmt: skip
+    alarms = Alarms([taken, event(Kind.STARTED, 2)])  # another loop gets nobody off the port
+    (row,) = alarms.rows(CALM, 3 * S)
+    assert (row.cause, row.priority, row.stands) == ("ENDPOINT_TAKEN", Priority.LOW, True)
+    assert row.text.startswith("another program has tcp/a:1: ")
+    alarms.note(back)
+    assert [row.stands for row in alarms.rows(CALM, 3 * S)] == [False]
 
 
 def test_words_and_json_of_a_row() -> None:
