@@ -10,7 +10,7 @@ from enum import Enum
 from typing import Annotated
 
 from rigctl.config import extras
-from rigctl.config.one_line import complaint
+from rigctl.config.one_line import complaint, wrong_usage
 from rigctl.ipc import output_file
 from rigctl.ipc.termination import on_signals
 
@@ -321,7 +321,7 @@ def _run() -> int:
         sys.stderr.write(complaint(f"{error}") + "\n")
         return 2
     except TyperException as error:
-        text = " ".join(error.format_message().split()).rstrip(".")  # names the option, unlike str()
+        text = wrong_usage(error.format_message())  # names the option, unlike str()
         context = getattr(error, "ctx", None)
         command = context.info_name if context is not None and context.parent is not None else ""
         own = " ".join(filter(None, (PROGRAM, command)))

@@ -13,7 +13,7 @@ import typer
 from rigctl import __version__
 from rigctl.cli import json_file
 from rigctl.cli.verb_table import VERBS, VerbRow, row_of
-from rigctl.config.one_line import complaint
+from rigctl.config.one_line import complaint, wrong_usage
 
 # click's class; where typer keeps its click depends on typer's version.
 _UsageError = cast("type[typer.BadParameter]", typer.BadParameter.__bases__[0])
@@ -71,7 +71,7 @@ def run(name: str, words: list[str]) -> int | None:
     try:
         code: int | None = program(VERBS if row is None else (row,))(args=words, standalone_mode=False)
     except _UsageError as error:
-        text = " ".join(error.format_message().split()).rstrip(".")
+        text = wrong_usage(error.format_message())
         own = f"rigctl {row.name}" if row is not None else "rigctl"
         sys.stderr.write(f"{complaint(f'rigctl: {text}')} (see {own} --help)\n")
         return 2

@@ -90,25 +90,26 @@ def _refuse_unreached(settings: RigSettings, found: PlainMessages) -> None:
             continue
         signal, si = message.signals[role], UNITS[device][role][unit]
         begins, ends = signal.least / si, signal.most / si
-        for reaches, words, limit, name in (
-            (low is None or begins < low, f"begin at {begins:.6g}", low, f"{bound}low"),
-            (high is None or ends > high, f"end at {ends:.6g}", high, f"{bound}high"),
+        for reaches, words, limit, end in (
+            (low is None or begins < low, f"begin at {begins:.6g}", low, "low"),
+            (high is None or ends > high, f"end at {ends:.6g}", high, "high"),
         ):
             if not reaches:
-                what = name if device != "tension_cell" or bound else f"safety.tension_{name}_n"
                 raise DbcError(
                     (device, "dbc", role),
                     f"{signal.name}, whose values {words} {unit}",
-                    f"one that passes {limit:g} ({what}), which could never trip",
+                    f"one that passes {limit:g} ({bound.format(end)}), which could never trip",
                 )
 
 
 def _bounds(settings: RigSettings) -> Iterator[tuple[str, str, str, float | None, float | None, str]]:
-    """Device, signal and unit of each limit that acts, its ends, and where in the rig file they are; "": safety."""
-    yield "tension_cell", "tension", "N", settings.safety.tension_low_n, settings.safety.tension_high_n, ""
+    """Device, signal and unit of each limit that acts, its ends, and their name, with a place for low or high."""
+    safety = settings.safety
+    yield "tension_cell", "tension", "N", safety.tension_low_n, safety.tension_high_n, "safety.tension_{}_n"
     for place, row in enumerate(settings.limits):
         if row.signal in _WATCHED and row.action != "log":
-            yield *_WATCHED[row.signal], row.low, row.high, f"limits.{place}."
+            yield *_WATCHED[row.signal], row.low, row.high, f"limits.{place}.{{}}"
+    yield "tension_cell", "tension", "N", -settings.negative_n, None, "fault CELL_NEGATIVE"
 
 
 def _canopen_ids(settings: RigSettings) -> dict[int, str]:

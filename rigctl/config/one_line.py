@@ -20,6 +20,11 @@ def on_one_line(text: str) -> str:
     return shown if len(shown) <= LONGEST_SHOWN else f"{shown[:LONGEST_SHOWN]}..."
 
 
+def wrong_usage(text: str) -> str:
+    """What typer says of a command line, in one line without its full stop and the heading of a validator."""
+    return " ".join(text.split()).rstrip(".").replace(": Value error, ", ": ")
+
+
 def complaint(text: str) -> str:
     """A message for standard error of which no word and no line is longer than a reader reads.
 

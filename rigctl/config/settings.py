@@ -376,6 +376,16 @@ class RigSettings(Settings):
         return found
 
     @property
+    def tare_limit_n(self) -> float:
+        """Largest zero of the cell; none without a calibration section."""
+        return self.calibration.tare_limit_n if self.calibration is not None else 0.0
+
+    @property
+    def negative_n(self) -> float:
+        """A reading further below 0 than this is no rope's: beyond a slack one and the largest zero."""
+        return self.tension.slack_n + self.tare_limit_n
+
+    @property
     def ledger(self) -> pathlib.Path | None:
         """File of the ledger; None without a calibration section."""
         if self.calibration is None:

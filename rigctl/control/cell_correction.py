@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.correction import Correction, CreepTerm, tare_limit_n
+from rigctl.ipc.correction import Correction, CreepTerm
 from rigctl.ipc.ring import RingReader
 
 _NS = 1e-9
@@ -82,7 +82,7 @@ class CellCorrection:
         section = settings.compensation
         self._creeps_on = section is not None and section.creep
         self._drifts_on = section is not None and section.temperature is not None
-        self._zero_limit_n = tare_limit_n(settings)
+        self._zero_limit_n = settings.tare_limit_n
         self._largest_n = settings.tension.target_max_n
         self.slack_zero_limit_n = section.slack_zero_limit_n if section is not None else 0.0
         self.correction = Correction()

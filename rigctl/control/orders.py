@@ -25,7 +25,7 @@ from rigctl.control.readback import Readback
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.devices.objects import drive_state
-from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text, tare_limit_n
+from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 
@@ -340,7 +340,7 @@ class Orders:
             disagree=snapshot.sink_apart_mm > 0.0,
             drive_faulted=snapshot.drive_faulted,
             slack=observer.slack,
-            unloaded=abs(observer.inbox.reading_n) <= tare_limit_n(settings),
+            unloaded=abs(observer.inbox.reading_n) <= settings.tare_limit_n,
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
         )
@@ -423,7 +423,7 @@ class Orders:
         inbox = self._observer.inbox
         if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
             return Refusal.WRONG_MODE
-        if "zero_n" in values and not abs(inbox.reading_n) <= tare_limit_n(self._settings):
+        if "zero_n" in values and not abs(inbox.reading_n) <= self._settings.tare_limit_n:
             return Refusal.LOADED
         now, overdue = inbox.correction, values.get("overdue", math.nan)
         wanted = replace(now, scale=values.get("scale", now.scale))

@@ -31,7 +31,6 @@ from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
 from rigctl.control.snapshot import EStop, FieldValue, Snapshot, reader
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
-from rigctl.ipc.correction import tare_limit_n
 
 
 class Action(IntEnum):
@@ -169,7 +168,6 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         UNREST_NOISES * settings.tension_cell.noise_n,
         settings.plant.stiffness_n_mm * PAYLOAD_MM_S / settings.loop.rate_hz,
     )
-    negative_n = settings.tension.slack_n + tare_limit_n(settings)
     fall_n = fall_limit_n(settings)
     lost = Action.POWER_OFF  # a drive that does not obey cannot hold, so its power is cut
     return (
@@ -211,7 +209,8 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.CELL_INVALID, FieldValue("cell_quality"), 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, FieldValue("inclination_quality"), 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
-        Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), negative_n, NEGATIVE_NS, _ARMED, "N", sign=-1.0),
+        Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), settings.negative_n, NEGATIVE_NS, _ARMED, "N",
+            sign=-1.0),
         Row(Fault.TENSION_LOW, FieldValue("tension_n", -1.0), -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, _lost_n, -settings.tension.slack_n, persist, _TENSIONING | _AT_REST, "N of a load",
             sign=-1.0),

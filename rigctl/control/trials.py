@@ -15,7 +15,6 @@ from rigctl.control.frequency_trial import FrequencyTrial
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Refusal, Verb
 from rigctl.control.snapshot import Snapshot
-from rigctl.ipc.correction import tare_limit_n
 
 AVERAGED_S = 1.0
 FEWEST_SAMPLES = 10  # of a slow cell, for a meaningful mean
@@ -375,5 +374,5 @@ def begin(
     if verb is Verb.IDENTIFY:
         return Excitation(settings, inbox)
     if verb is Verb.TARE:
-        return Average(settings, largest_n=tare_limit_n(settings))
+        return Average(settings, largest_n=settings.tare_limit_n)
     return Average(settings)

@@ -47,7 +47,7 @@ class Correction:
 
     def fits(self, settings: RigSettings) -> bool:
         """Within the bounds: a correction may shift the tension a little, never hide a load or a lost rope."""
-        limit = tare_limit_n(settings)
+        limit = settings.tare_limit_n
         return (
             math.isfinite(self.zero_n + self.scale)
             and abs(self.zero_n) <= limit
@@ -64,7 +64,7 @@ class Correction:
         if section is None or zero_n is None:
             return math.isfinite(self.second_scale)
         if section.kind == "cell":
-            return abs(zero_n) <= tare_limit_n(settings) and abs(self.second_scale - 1.0) <= SCALE_BOUND
+            return abs(zero_n) <= settings.tare_limit_n and abs(self.second_scale - 1.0) <= SCALE_BOUND
         return math.isfinite(zero_n) and abs(self.second_scale - 1.0) <= SECOND_SCALE_BOUND
 
 
@@ -89,8 +89,3 @@ def creep_text(creep: tuple[CreepTerm, ...]) -> str:
 def creep_share(creep: tuple[CreepTerm, ...]) -> float:
     """Share of the load that the whole creep is in the end."""
     return math.fsum(term.share for term in creep)
-
-
-def tare_limit_n(settings: RigSettings) -> float:
-    """Largest zero; none without a calibration section."""
-    return settings.calibration.tare_limit_n if settings.calibration is not None else 0.0

@@ -31,7 +31,6 @@ from rigctl.ipc.correction import (
     Correction,
     CreepTerm,
     creep_fits,
-    tare_limit_n,
 )
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -238,7 +237,7 @@ def _check(path: pathlib.Path, number: int, item: Entry, settings: RigSettings) 
         return
     zero_n, scale = pair
     if not _correction_fits(item.after, settings):
-        limit = tare_limit_n(settings)
+        limit = settings.tare_limit_n
         raise LedgerError(
             f"{path}: entry {number}: found zero {zero_n} N and scale {scale}, expected {-limit:g} to {limit:g} N and "
             f"{1 - SCALE_BOUND:g} to {1 + SCALE_BOUND:g}"

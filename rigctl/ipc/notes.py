@@ -33,32 +33,33 @@ class Note(IntEnum):
     ENDPOINT_BACK = 71  # other: the endpoint
 
 
-_ALARM_WORDS = {
-    Note.ALARM_ACKNOWLEDGED: "{operator} acknowledges the alarm {cause}",
-    Note.ALARM_SHELVED: "{operator} shelves the alarm {cause} for {reason}",
-    Note.ALARM_UNSHELVED: "{operator} takes the alarm {cause} from the shelf",
+_WORDS = {
+    Note.LEASE_TAKEN: ("info", "{operator} takes the lease{why}"),
+    Note.LEASE_TAKEN_OVER: ("warning", "{operator} takes the lease over from {other}{why}"),
+    Note.LEASE_RETURNED: ("info", "{operator} gives the lease back; the rig goes on as it is"),
+    Note.LEASE_LAPSED: ("warning", "the lease of {operator} has lapsed; the rig goes on as it is"),
+    Note.LEASE_NOT_BELIEVED: ("warning", "lease.json holds no lease to be believed; nobody holds it"),
+    Note.ALARM_ACKNOWLEDGED: ("info", "{operator} acknowledges the alarm {other}"),
+    Note.ALARM_SHELVED: ("warning", "{operator} shelves the alarm {other} for {reason}"),
+    Note.ALARM_UNSHELVED: ("info", "{operator} takes the alarm {other} from the shelf"),
+    Note.ENDPOINT_TAKEN: (
+        "warning",
+        "another program has {other}: who connects there gets nothing of this rig; it is tried until it is free. "
+        "The sockets of this computer work",
+    ),
+    Note.ENDPOINT_BACK: ("info", "{other} is this daemon's again"),
 }
+"""Severity and words of the notes that have one form."""
 
 
 def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str]:
     """Severity and one line."""
     why = f": {reason}" if reason else ""
     match kind:
-        case Note.LEASE_TAKEN:
-            return "info", f"{operator} takes the lease{why}"
-        case Note.LEASE_TAKEN_OVER:
-            return "warning", f"{operator} takes the lease over from {other}{why}"
-        case Note.LEASE_RETURNED:
-            return "info", f"{operator} gives the lease back; the rig goes on as it is"
-        case Note.LEASE_LAPSED:
-            return "warning", f"the lease of {operator} has lapsed; the rig goes on as it is"
         case Note.HOLD_WITHOUT_LEASE if other:
             return "warning", f"HOLD given by {operator} without the lease, which {other} holds"
         case Note.HOLD_WITHOUT_LEASE:
             return "info", f"HOLD given by {operator} without a lease; nobody holds it"
-        case Note.ALARM_ACKNOWLEDGED | Note.ALARM_SHELVED | Note.ALARM_UNSHELVED:
-            what = _ALARM_WORDS[kind].format(operator=operator, cause=other, reason=reason)
-            return ("warning" if kind is Note.ALARM_SHELVED else "info"), what
         case Note.TOO_MANY_COMMANDS:
             return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
         case Note.MESSAGE_REFUSED:
@@ -72,15 +73,9 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
                 "warning",
                 f"{reason} by {operator or 'somebody'} other than the daemon: not believed on this computer",
             )
-        case Note.LEASE_NOT_BELIEVED:
-            return "warning", "lease.json holds no lease to be believed; nobody holds it"
-        case Note.ENDPOINT_TAKEN:
-            return "warning", (
-                f"another program has {other}: who connects there gets nothing of this rig; it is tried until it is "
-                "free. The sockets of this computer work"
-            )
-        case Note.ENDPOINT_BACK:
-            return "info", f"{other} is this daemon's again"
+        case _:
+            severity, words = _WORDS[kind]
+            return severity, words.format(operator=operator, other=other, reason=reason, why=why)
 
 
 def was_taken(notes: np.ndarray) -> bool:

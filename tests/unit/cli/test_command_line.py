@@ -157,6 +157,14 @@ def test_wrong_usage_names_the_help_of_its_own_command(
     assert done.stderr.endswith(f" (see {shown})\n")
 
 
+@pytest.mark.parametrize("line", ["lease foo", "keys foo", "audit foo", "bridge foo", "export x --to foo -o y"])
+def test_a_wrong_choice_is_named_with_the_right_ones(in_process: Command, line: str) -> None:
+    done = in_process("rigctl", *line.split())
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert ": 'foo' is not one of '" in done.stderr
+    assert "Value error" not in done.stderr
+
+
 LONG = ["check WORD", "keys list --dir WORD", "status --connect WORD", "WORD", "status --WORD", "tune WORD"]
 LONG_OF_HIL = ["faults --only WORD", "serve WORD", "new rig WORD", "paper --json WORD", "WORD", "scenario WORD"]
 

@@ -234,6 +234,8 @@ SLOPE_16 = "SG_ AngleTangential : 7|16@0- (0.01,0) [-90|90]"
         (TENSION, TENSION.replace("32@1-", "16@1-").replace("0.001", "-0.01"), f"{CELL}.tension",
          "RopeTension, whose values end at 327.68 N",
          "one that passes 400 (safety.tension_high_n), which could never trip"),
+        (TENSION, TENSION.replace("32@1-", "32@1+").replace("-2000000|", "0|"), f"{CELL}.tension",
+         "RopeTension, whose values begin at 0 N", "one that passes -15 (fault CELL_NEGATIVE), which could never trip"),
     ],
 )  # fmt: skip
 def test_a_signal_that_cannot_pass_a_limit_is_refused(
@@ -252,7 +254,7 @@ def test_a_limit_that_only_logs_or_is_waived_may_be_out_of_reach(write: Write) -
     assert config.load(write(RIG, dbc), study=True).plain_messages
 
 
-@pytest.mark.parametrize("declared", ["0|0", f"0|{MANY_DIGITS}", "-1E999|1E999", "5|-5"])
+@pytest.mark.parametrize("declared", ["0|0", f"-20|{MANY_DIGITS}", "-1E999|1E999", "5|-5"])
 def test_a_declared_range_that_is_none_bounds_nothing(write: Write, declared: str) -> None:
     file = write(RIG, changed(DBC, "[-2000000|2000000]", f"[{declared}]"))
     signal = config.load(file).plain_messages["tension_cell"].signals["tension"]
