@@ -6,6 +6,7 @@ It may be killed at any time: the loop does not notice, and the next gateway con
 from __future__ import annotations
 
 import contextlib
+import os
 import signal
 import sys
 import threading
@@ -379,17 +380,21 @@ class Gateway:
         if self._outdated:
             sys.stderr.write("gateway: the access list has changed; it is started anew with the new one\n")
 
-    def close(self) -> None:
-        """Publish the rest and end the sessions."""
+    def close(self) -> bool:
+        """Publish the rest and end the sessions; False: the router is still open, for Zenoh would wait 10 s.
+
+        It waits for the task that tries an endpoint of the network again that another program has.
+        """
         self._calibration.close()
         self._preflight.close()
         self._commands.close()
         self.publish()
         self._socket.close()
         close(self._command_session)
-        if self._places.listens:  # else Zenoh waits 10 s for the task that tries the endpoint again
-            close(self._session)
         self._cursor.close()
+        if self._places.listens:
+            close(self._session)
+        return self._places.listens
 
 
 def main(arguments: list[str]) -> int:
@@ -417,7 +422,9 @@ def main(arguments: list[str]) -> int:
         sys.stderr.write("gateway: active.json holds no valid settings\n")
         return 1
     gateway.run(stop, progress)
-    gateway.close()
+    if not gateway.close():
+        sys.stderr.flush()
+        os._exit(0)  # the interpreter would close the router
     return 0
 
 
