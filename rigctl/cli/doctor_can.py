@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
-import pathlib
+import socket
 import subprocess
 from typing import Any
 
@@ -58,9 +59,16 @@ def _without_kernel(can: CanSettings) -> DoctorFinding:
         if why := can_interface.lacking(can):
             return fails("can link", f"{where} cannot be opened here: {why}", "an interface complete", "install it")
         return good("can link", f"no kernel CAN: {where}")
-    if pathlib.Path(can.channel).is_socket():
+    if _is_served(can.channel):
         return good("can link", f"no kernel CAN: simulated rig at {can.channel}")
     return warning("can link", f"no kernel CAN, and no simulated rig at {can.channel}", "one", "python -m hil serve")
+
+
+def _is_served(path: str) -> bool:
+    """Whether a simulated rig takes connections there: the file alone outlives a rig that was killed."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as client:
+        client.setblocking(False)
+        return client.connect_ex(path) in (0, errno.EAGAIN)  # EAGAIN: many others wait to be taken
 
 
 def _missing(can: CanSettings) -> DoctorFinding:

@@ -457,11 +457,10 @@ def _limit(a: int, _b: int, value: float, limit: float, text: str) -> Worded:
 
 
 def _limit_over(a: int, _b: int, value: float, limit: float, text: str) -> Worded:
-    fault, seen = Fault(a), math.isfinite(value)
+    fault, over = Fault(a), "cleared" if math.isfinite(value) else "not watched any more"
     if fault is not Fault.LIMIT:
-        return Worded("info", f"{fault.name} is {'cleared' if seen else 'not watched any more'}")
-    words = "no longer" if seen else "not watched any more:"
-    return Worded("info", f"limit: {words} {text} {limit:.10g}{_unit_of(text)}")
+        return Worded("info", f"{fault.name} is {over}")
+    return Worded("info", f"limit {over}: {text} {limit:.10g}{_unit_of(text)}")
 
 
 _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {

@@ -410,11 +410,11 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 how = "ended to start all devices up again" if code == EXIT_STARTS_ANEW else how
+                comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
                 if why := self._why_refused(child):
-                    how = f"could not start: {why}"
+                    how, comes = f"could not start: {why}", "is started anew, DISARMED,"
                 if child.hung:
                     how = f"hung, without progress for {HUNG_S:g} s, and was killed"
-                comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
                 if child.failures > LOOPING:
                     comes += f" (it has ended {child.failures} times in a row, see what it said)"
                 self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")

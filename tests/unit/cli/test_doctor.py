@@ -6,6 +6,7 @@ import json
 import os
 import pathlib
 import re
+import socket
 from collections.abc import Callable
 from typing import Any
 
@@ -182,6 +183,16 @@ def test_without_a_kernel_can_it_says_so(tmp_path: pathlib.Path) -> None:
     assert (found.severity, "no kernel CAN" in found.found) == (WARNING, True)
     (absent,) = doctor_can.link(RIG.can.model_copy(update={"channel": "can_not_there"}))
     assert absent.severity in (FAILS, WARNING)  # without iproute2 its state is unknown
+
+
+def test_a_simulated_rig_that_was_killed_is_none_though_its_sockets_file_is_left(tmp_path: pathlib.Path) -> None:
+    can = CanSettings(interface="rigsim", channel=str(tmp_path / "bus.sock"), bitrate_bit_s=None)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as rig:
+        rig.bind(can.channel)
+        rig.listen(1)
+        for _ in range(3):  # more than it has room for
+            assert [finding.severity for finding in doctor_can.link(can)] == [OK]
+    assert [finding.severity for finding in doctor_can.link(can)] == [WARNING]
 
 
 # -- the preflight ----------------------------------------------------------------------------------------------

@@ -75,7 +75,7 @@ def test_a_limit_event_has_its_unit(signal: str) -> None:
     passed = worded(Kind.LIMIT, int(Fault.LIMIT), int(Action.LOG), 37092.6, 500.0, f"{signal} above").text
     assert passed == f"limit: {signal} above 500{gap} (37090{gap})"
     kept = worded(Kind.LIMIT_OVER, int(Fault.LIMIT), int(Action.LOG), 1.0, 500.0, f"{signal} above").text
-    assert kept == f"limit: no longer {signal} above 500{gap}"
+    assert kept == f"limit cleared: {signal} above 500{gap}"
     words = f"{signal} changing by more per second than"
     trip = worded(Kind.TRIP, int(Fault.LIMIT), int(Action.HOLD), -3.0, 0.5, words)
     rate = f" {unit}/s" if unit else ""

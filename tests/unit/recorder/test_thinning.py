@@ -134,7 +134,7 @@ def test_a_tension_that_hovers_about_a_limit_does_not_fill_the_log() -> None:
     for number in range(5000):
         t_ns = S + number * 2_000_000
         items.append(item(t_ns, "limit", f"limit: tension above 300 ({300 + number})", "", "events", a=12))
-        items.append(item(t_ns + 1_000_000, "limit_over", "limit: no longer tension above 300", "", "events", a=12))
+        items.append(item(t_ns + 1_000_000, "limit_over", "limit cleared: tension above 300", "", "events", a=12))
     assert len(flood(Thinning(), items)) <= 2 * (WRITTEN_FIRST + 1) * 2
 
 

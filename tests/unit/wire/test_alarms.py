@@ -140,7 +140,7 @@ def test_a_limit_that_is_not_watched_any_more_is_not_cleared() -> None:
     name = "cell_age_ms above"
     alarms = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 8, name)])
     left = event(Kind.LIMIT_OVER, 1, Fault.LIMIT, Action.LOG, math.nan, 8, name)
-    assert left["text"] == "limit: not watched any more: cell_age_ms above 8 ms"
+    assert left["text"] == "limit not watched any more: cell_age_ms above 8 ms"
     for value in (math.nan, None):  # in this process, and in JSON
         alarms.note(left | {"value": value})
         (row,) = alarms.rows(CALM, 2 * S)
