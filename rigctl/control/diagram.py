@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import product
 
 from rigctl.control import load_at_rest
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, STILL_NS
@@ -67,8 +68,8 @@ from what the drive reports and from the load, not from what was commanded.
 
 | `held_by` | shown as | meaning |
 |---|---|---|
-| `MOTOR` | held by the motor | SOS: the drive is enabled and follows, for `hold.park_s` at standstill in HOLD, \
-{STILL_NS * 1e-9:g} s in FAULT |
+| `MOTOR` | held by the motor | SOS: the drive is enabled and follows its commands; the brake takes over after \
+`hold.park_s` at standstill in HOLD, after {STILL_NS * 1e-9:g} s in FAULT; during `carry`, and on a rig without a brake, the motor goes on |
 | `CLOSING` | brake closing | the drive stops, closes its brake and goes off; for {SETTLES_NS * 1e-9:g} s the load may \
 not be seen at rest yet |
 | `BRAKE` | held by the brake | SBC: the drive reports that it is off, for as long as its brake takes to close, and \
@@ -104,23 +105,23 @@ fault; else one object after the other, all the time |
 | brake test (SBT), {BRAKE_TEST_NS * 1e-9:g} s | yes | never: a parked load that stays where it is tests the brake |
 | computer, calibration, distance from the ends of the stroke | yes | never: nothing of it has changed since |
 
-A parking whose brake slips in its first second is undone: where stroke and tension both show that the load has sunk by
-{UNDO_MM:g} mm within {UNDO_NS * 1e-9:g} s and no other cause is active, the motor takes it back
-that has just held it at standstill, in FAULT (BRAKE_SLIPS), and carries it as by `carry`, for
-{LOWERED_NS // 60_000_000_000} min. Later, or by one of the two alone, nothing is switched on but by `carry`.
+A parking whose brake slips in its first second is undone: if, within {UNDO_NS * 1e-9:g} s, stroke and tension both
+show that the load has sunk by {UNDO_MM:g} mm, and no other cause is active, the fault BRAKE_SLIPS is latched, and the
+motor takes the load back and holds it as by `carry`, for {LOWERED_NS // 60_000_000_000} min. If the load sinks later,
+or if only one of the two shows it, the drive stays off until the operator gives `carry` or `lower`.
 
 ## A brake that slips
 
 A stroke that moves on the closed brake, faster than {SINK_MM_S:g} mm/s over 5 s or {BRAKE_SLIP_MM_S:g} mm/s at once, is
 STROKE_MOVES in every mode that keeps the stroke, with its speed and the time until the rope is slack. No `reset` is
-accepted while the load sinks. The ways out are in FAULT:
+accepted while the load sinks. In FAULT the operator has two commands:
 
 - `carry` SECONDS (operator, with the lease): the motor takes the load and holds it for {CARRY_S[0]:g} to
-  {CARRY_S[1]:g} s, the fault shown. Encoder and tension by stiffness have to agree on how the load moves, no emergency
-  stop may be pressed, and no other cause may be active; after the last resort it is refused. When a cause becomes
-  active the drive stops and closes its brake. `reset` is refused meanwhile; `carry` again prolongs it. When its time
-  is over the motor lowers the load: a slipping brake gets it only by `disarm`, which tries the brake, or when the
-  daemon ends.
+  {CARRY_S[1]:g} s; the fault stays latched and shown. Encoder and tension by stiffness have to agree on how the load
+  moves, no emergency stop may be pressed, and no other cause may be active; after `silence` it is refused. `reset` is
+  refused meanwhile; `carry` again prolongs it. When its time is over the motor lowers the load. Four things give the
+  load back to the slipping brake: `disarm`, the end of the daemon, another cause that becomes active, and with it the
+  emergency stop.
 - `lower`, or `release` while the motor carries the load: the motor lowers it on the ramp of `release` until the rope is
   slack. A `hold` stops it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
 """
@@ -152,6 +153,14 @@ an event with the value found and the limit.
 """
 
 
+_LEGEND = [
+    "`-`: the command is refused in this mode. `carried out`: the mode stays as it is; after `arm` it is HOLD once the",
+    "drive is enabled, and after `disarm` in FAULT the drive is off. A guard in brackets refuses the command if its",
+    "condition is not met.",
+    "",
+]
+
+
 def document() -> str:
     """The whole page, in Markdown with a Mermaid diagram."""
     parts = [_HEAD, "```mermaid", "stateDiagram-v2", "    [*] --> DISARMED"]
@@ -164,7 +173,7 @@ def document() -> str:
     guards = {transition.guard for transition in TRANSITIONS.values()} | set(WITHOUT_EVENT.values())
     named = sorted((guard for guard in guards if guard is not None), key=lambda guard: guard.__name__)
     parts += [f"- `{guard.__name__}`: {_said(guard)}" for guard in named]
-    parts += ["", "## Commands", "", "| command | " + " | ".join(mode.name for mode in Mode) + " |"]
+    parts += ["", "## Commands", "", *_LEGEND, "| command | " + " | ".join(mode.name for mode in Mode) + " |"]
     parts += ["|---" * (len(Mode) + 1) + "|"]
     parts += [f"| `{verb.name.lower()}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |" for verb in Verb]
     parts += ["", "## Actions of the safety table, the weakest first", ""]
@@ -189,16 +198,13 @@ def _cell(mode: Mode, verb: Verb) -> str:
     """Mode after a command in a mode; a dash where it is always refused."""
     if (mode, verb) in WITHOUT_EVENT:
         return f"carried out{_brackets(WITHOUT_EVENT[mode, verb])}"
-    found = {
-        TRANSITIONS[mode, event].after.name
-        for enabled in (True, False)
-        if (event := decide(mode, verb, _situation(enabled)).event) is not None
-    }
-    return " or ".join(sorted(found)) or "-"
-
-
-def _situation(enabled: bool) -> Situation:
-    return Situation(armed=enabled, carry_s=CARRY_S[0], unloaded=True, wanted_n=1.0, measured_mm=1.0, target_max_n=1.0)
+    situations = (
+        Situation(armed=armed, carried=carried, fault_latched=latched)
+        for armed, carried, latched in product((True, False), repeat=3)
+    )
+    found = {event for one in situations if (event := decide(mode, verb, one).event) is not None}
+    shown = (f"{to.after.name}{_brackets(to.guard)}" for to in (TRANSITIONS[mode, event] for event in sorted(found)))
+    return " or ".join(shown) or "-"
 
 
 if __name__ == "__main__":

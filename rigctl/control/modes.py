@@ -288,7 +288,7 @@ def preflight_passed(situation: Situation) -> Refusal:
 
 
 def cause_gone(situation: Situation) -> Refusal:
-    """No cause of the latched fault stands, the stop it began has ended, and the motor does not carry the load."""
+    """No cause of the latched fault is active, the stop it began has ended, and the motor does not carry the load."""
     # A reset during the stop would also cancel the power off that follows if the drive does not obey.
     if situation.cause_present:
         return Refusal.CAUSE_PRESENT
@@ -337,14 +337,14 @@ def rope_tight_if_needed(situation: Situation) -> Refusal:
 
 
 def held_response(situation: Situation) -> Refusal:
-    """The rope is tight, and the response is not asked for while COMPENSATING only."""
+    """The rope is tight, and the response is not requested for COMPENSATING only."""
     if situation.regulated == 1.0:
         return Refusal.WRONG_MODE
     return Refusal.SLACK if situation.slack else Refusal.NONE
 
 
 def regulated_response(situation: Situation) -> Refusal:
-    """The response is not asked for in HOLD only."""
+    """The response is not requested for HOLD only."""
     return Refusal.WRONG_MODE if situation.regulated == 0.0 else Refusal.NONE
 
 
