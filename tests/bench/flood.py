@@ -12,6 +12,7 @@ import contextlib
 import json
 import os
 import pathlib
+import pwd
 import selectors
 import signal
 import socket
@@ -27,7 +28,10 @@ import msgspec
 import zenoh
 
 from rigctl.client.connection import credentials_of
+from rigctl.client.local_daemons import local_daemons, meant
 from rigctl.control.realtime import die_with_parent
+from rigctl.ipc.folder_places import COMMAND_SOCKET
+from rigctl.ipc.hold_socket import socket_name
 from rigctl.wire.keys import Keys
 from rigctl.wire.session import SessionError, close, open_client
 from tests.builders.paths import ROOT
@@ -38,6 +42,7 @@ HALF_OPEN, SESSIONS, STALLED = 400, 999, 8
 OPENINGS_MAX, QUERIES_MAX, PAYLOADS_MAX = 50_000, 2_000_000, 200
 OUTSTANDING_MAX = 256  # queries without a reply: more would only fill this process
 PAYLOAD_BYTES = 8 << 20
+USERS, CONNECTIONS = 8, 200
 _OPENERS = 8
 
 
@@ -185,6 +190,52 @@ def holds(flood: Flood) -> None:
     _asking(flood, "hold", lambda _: _body(operator="flood"), QUERIES_MAX)
 
 
+def users_holds(flood: Flood) -> None:
+    """HOLD on the loop's own sockets by ``USERS`` users of this computer, each as fast as the loop takes it.
+
+    Other users' processes need root; else they are all of this user.
+    """
+    (daemon,) = meant(local_daemons(), flood.endpoint, flood.keys.rig)
+    others = [one for one in pwd.getpwall() if one.pw_uid != os.geteuid()] if os.geteuid() == 0 else []
+    users = [(one.pw_uid, one.pw_gid) for one in others[:USERS]] or [(os.geteuid(), os.getegid())] * USERS
+    for uid, gid in users:
+        if os.fork() == 0:
+            die_with_parent(signal.SIGKILL)
+            os.setresgid(gid, gid, gid)
+            os.setresuid(uid, uid, uid)
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
+                own.connect(str(daemon.place.place(socket_name(uid))))
+                while not flood.over:
+                    own.send(b"flood")  # waits while the queue is full
+            os._exit(0)
+        flood.done()
+    flood.under_way()
+    time.sleep(max(0.0, flood.until - time.monotonic()))
+
+
+def idle_connections(flood: Flood) -> None:
+    """Connections of the operator's own user to the command socket, all the time; one that ends is opened anew."""
+    (daemon,) = meant(local_daemons(), flood.endpoint, flood.keys.rig)
+    place, selector, there = str(daemon.place.place(COMMAND_SOCKET)), selectors.DefaultSelector(), 0
+    while not flood.over and flood.count < OPENINGS_MAX:
+        with contextlib.suppress(OSError):
+            while there < CONNECTIONS and not flood.over:
+                connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+                connection.setblocking(False)
+                connection.connect(place)
+                selector.register(connection, selectors.EVENT_READ)
+                there += 1
+                flood.done()
+        flood.under_way()
+        for key, _ in selector.select(0.02):
+            with contextlib.suppress(BlockingIOError, OSError):
+                if key.fileobj.recv(4096):  # type: ignore[union-attr]
+                    continue
+            selector.unregister(key.fileobj)
+            key.fileobj.close()  # type: ignore[union-attr]
+            there -= 1
+
+
 def lease_take(flood: Flood) -> None:
     """The lease repeatedly taken over from its holder."""
     _asking(flood, "lease_take", lambda n: _body(operator=f"flood{n % 50}", reason="flood"), QUERIES_MAX)
@@ -278,6 +329,8 @@ KINDS = {
     "lease_take": lease_take,
     "holds": holds,
     "forged": forged,
+    "users_holds": users_holds,
+    "idle_connections": idle_connections,
 }
 TLS_KINDS = {**KINDS, "handshakes": handshakes}
 """Floods of a daemon that listens with certificates."""
