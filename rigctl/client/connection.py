@@ -5,6 +5,7 @@ Zenoh runs in client mode: once connected it reconnects by itself after a restar
 
 from __future__ import annotations
 
+import contextlib
 import datetime
 import os
 import pathlib
@@ -207,16 +208,13 @@ class Client:
         self.route, owned = _route(self.endpoint, wanted, key)
         self.person = owned.name if owned is not None else ""
         """Name in the certificate, by which the daemon knows this client; empty without one."""
-        try:
-            self.session = _open(self.route, owned)
-        except NoDaemonError:
-            self.route.leave()
-            raise
+        self._owned, self._opening = owned, threading.Lock()
+        self._session: zenoh.Session | None = None
         self._leave = self.route.followed()
         self._local: CommandConnections | None = None  # of a version before there is no socket for commands
         try:
-            self.keys = Keys(self._choose(wanted), self.person)
-            if (place := self.route.command_socket(self.rig)) is not None:
+            self.keys = Keys(self._answering_here(wanted) or self._choose(wanted), self.person)
+            if self._local is None and (place := self.route.command_socket(self.rig)) is not None:
                 self._local = CommandConnections(place)
             self._run_id = run_id
             self._check_run()
@@ -230,6 +228,33 @@ class Client:
                 f"another daemon answers at {self.endpoint}: found run {found}, expected run {self._run_id}; "
                 f"it was not commanded"
             )
+
+    @property
+    def session(self) -> zenoh.Session:
+        """The Zenoh session, opened at its first use: commands and the state of this computer's rig do without it.
+
+        Raises:
+            NoDaemonError: the daemon's router does not take it.
+        """
+        with self._opening:
+            if self._session is None:
+                self._session = _open(self.route, self._owned)
+            return self._session
+
+    def _answering_here(self, wanted: str | None) -> str:
+        """Name of the rig whose command socket answers, if it is the one meant; empty: Zenoh has to find it."""
+        rig = self.route.rig
+        if wanted != rig and (wanted is not None or not self.route.is_alone):
+            return ""
+        if (place := self.route.command_socket(rig)) is None:
+            return ""
+        local = CommandConnections(place)
+        with contextlib.suppress(OSError):
+            if local.ask(STATE, None, ASK_S)[0]:
+                self._local = local
+                return rig
+        local.close()
+        return ""
 
     def _choose(self, wanted: str | None) -> str:
         """The rig's name.
@@ -481,7 +506,8 @@ class Client:
             mailbox.close()
         if self._local is not None:
             self._local.close()
-        close(self.session)
+        if self._session is not None:
+            close(self._session)
         self._leave()
 
     def __enter__(self) -> Self:

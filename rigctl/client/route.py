@@ -13,9 +13,9 @@ import contextlib
 import os
 import pathlib
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
+from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant, same_endpoint
 from rigctl.config import layout
 from rigctl.ipc.folder_places import COMMAND_SOCKET, GATEWAY_SOCKET, FolderPlaces
 from rigctl.ipc.trusted_folders import opened
@@ -25,9 +25,8 @@ _DESCRIPTORS = pathlib.Path("/proc/self/fd")
 _FOLLOW_S = 0.2  # another run of the daemon has another folder
 
 
-def _chosen(endpoint: str, rig: str | None) -> LocalDaemon | None:
+def _chosen(daemons: Sequence[LocalDaemon], endpoint: str, rig: str | None) -> LocalDaemon | None:
     """The daemon at an endpoint, of this name if it can be: itself, or one that joins the router there."""
-    daemons = local_daemons()
     found = meant(daemons, endpoint, rig) or meant(daemons, endpoint, None)
     # Of several at one endpoint, all but one are left over from a daemon that was killed.
     return next((one for one in found if one.runs), found[0] if found else None)
@@ -42,10 +41,15 @@ class Route:
         """The endpoint as it was given, and that which the session is opened at."""
         self.rig = ""
         """Rig whose own socket it is; empty without one."""
+        self.is_alone = False
+        """Whether this computer has no other rig that is reached there, so that it needs no name."""
         self._certified, self._closed_to_us = certified, ""
         self._folder: pathlib.Path | None = None
         self._fd = -1
-        if not certified and (found := _chosen(endpoint, rig)) is not None:
+        daemons = [] if certified else local_daemons()
+        if (found := _chosen(daemons, endpoint, rig)) is not None:
+            joined = any(same_endpoint(endpoint, one) for other in daemons for one in other.join)
+            self.is_alone = not (found.join or joined)
             self._enter(found)
 
     def _enter(self, daemon: LocalDaemon) -> None:

@@ -69,7 +69,8 @@ from what the drive reports and from the load, not from what was commanded.
 | `held_by` | shown as | meaning |
 |---|---|---|
 | `MOTOR` | held by the motor | SOS: the drive is enabled and follows its commands; the brake takes over after \
-`hold.park_s` at standstill in HOLD, after {STILL_NS * 1e-9:g} s in FAULT; during `carry`, and on a rig without a brake, the motor goes on |
+`hold.park_s` at standstill in HOLD, after {STILL_NS * 1e-9:g} s in FAULT; during `carry`, \
+and on a rig without a brake, the motor goes on |
 | `CLOSING` | brake closing | the drive stops, closes its brake and goes off; for {SETTLES_NS * 1e-9:g} s the load may \
 not be seen at rest yet |
 | `BRAKE` | held by the brake | SBC: the drive reports that it is off, for as long as its brake takes to close, and \

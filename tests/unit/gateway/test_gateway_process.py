@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from rigctl.client import connection
 from rigctl.client.connection import Client
 from rigctl.config import layout
 from rigctl.config import rig_file as config
@@ -213,6 +214,26 @@ def test_states_come_by_the_command_socket(rig: Rig) -> None:
     rig.gateway.publish()
     assert until(states.take)["mode"] == "HOLD"
     states.close()
+
+
+def test_commands_and_states_of_this_computer_open_no_zenoh_session(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A router that is busy with hundreds of sessions lets no command wait."""
+
+    def opened(*_: object) -> None:
+        raise AssertionError("a Zenoh session was opened")
+
+    monkeypatch.setattr(connection, "_open", opened)
+    with Client(rig.settings.telemetry.listen) as client:
+        assert client.rig == rig.settings.rig
+        assert client.state()["loop_alive"] is False
+        states = client.follow(client.keys.state)
+        command = rig._asking.submit(client.command, "disarm", "kim")
+        rig.answer(rig.order(Verb.DISARM))
+        assert command.result(patience_s())["accepted"]
+        rig.gateway.publish()
+        assert until(states.take)
+        with pytest.raises(AssertionError, match="opened"):
+            client.events()
 
 
 def test_a_gateway_of_the_version_before_is_read_by_zenoh_and_not_commanded(rig: Rig) -> None:
