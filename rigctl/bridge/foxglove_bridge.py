@@ -24,7 +24,7 @@ from rigctl.bridge.rig_parameters import parameters_of
 from rigctl.client import AsyncRig, NoDaemonError, Rig, SchemaError
 from rigctl.client.shapes import Message
 from rigctl.config.address import Address, is_local
-from rigctl.ipc.termination import ENDING, heeded
+from rigctl.ipc.async_termination import run_until_signal
 
 FIGURES_S = 1.0
 AGAIN_S = 0.5
@@ -131,10 +131,6 @@ class FoxgloveBridge:
 
 
 async def _serve(rig: Rig, listening: socket.socket, address: Address, origins: Sequence[str], rate_hz: float) -> None:
-    loop, main = asyncio.get_running_loop(), asyncio.current_task()
-    assert main is not None
-    for number in heeded(*ENDING):
-        loop.add_signal_handler(number, main.cancel)
     server = FoxgloveServer(rig.name, address, origins, _complain)
     # Before any client is served: a record is thinned by the loop's rate, and parameters are read once.
     schema, active = await _answer(rig.schema), await _answer(rig.config)
@@ -166,7 +162,7 @@ def serve(rig: Rig, listening: socket.socket, address: Address, origins: Sequenc
         rate_hz: of the records; the loop's own rate is the most.
     """
     try:
-        asyncio.run(_serve(rig, listening, address, origins, rate_hz))
+        run_until_signal(_serve(rig, listening, address, origins, rate_hz), asyncio.Task.cancel)
     except asyncio.CancelledError:
         return None
     except SchemaError as error:

@@ -17,7 +17,7 @@ from typing import NoReturn
 import uvicorn
 
 from rigctl.ipc import heap
-from rigctl.ipc.termination import ENDING, heeded
+from rigctl.ipc.async_termination import run_until_signal
 from rigctl.page.browser_connection import BACKLOG, HEADER_BYTES, protocol
 from rigctl.page.guard import Guard
 from rigctl.page.link_socket import serve_links
@@ -92,9 +92,6 @@ def serve(
     server = _Server(config)
 
     async def until_signal() -> None:
-        loop = asyncio.get_running_loop()
-        for number in heeded(*ENDING):
-            loop.add_signal_handler(number, setattr, server, "should_exit", True)
         more = None
         if links is not None and guard.needs_links:
             try:
@@ -111,7 +108,7 @@ def serve(
     logging.getLogger("uvicorn.error").addFilter(_is_ours)
     reader.start()
     try:
-        asyncio.run(until_signal())
+        run_until_signal(until_signal(), lambda _task: setattr(server, "should_exit", True))
     finally:
         stop.set()
         reader.join(CLOSE_S)

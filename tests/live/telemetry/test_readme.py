@@ -74,7 +74,8 @@ def test_commanding_says_who_holds_the_lease(own: Daemon, tmp_path: pathlib.Path
         assert rig.take_lease("anna")["accepted"]
     (line,) = ran(EXAMPLES[1], own, tmp_path)
     assert line.startswith("refused: ")
-    assert "anna holds the lease" in line
+    assert "TARGET refused: anna (" in line  # and this user's name
+    assert ") holds the lease" in line
 
 
 def test_the_schema_in_the_documentation_is_the_one_served(shared: Daemon) -> None:
