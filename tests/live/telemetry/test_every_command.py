@@ -139,7 +139,9 @@ def test_a_command_without_a_daemon(case: str, made: dict[str, str], tmp_path: p
     ended_well(done)
     if "--json" in case:
         written = tmp_path / "tune.json"
-        assert documents(written.read_text() if written.exists() else done.stdout)
+        shown = documents(written.read_text() if written.exists() else done.stdout)
+        # A bench gives way to a daemon, such as another test's, and says so.
+        assert shown or (case.startswith("bench") and done.returncode == 1 and "bench: a daemon runs" in done.stderr)
 
 
 @pytest.fixture(scope="module")
