@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError, model_validator
 from hil.scenario.errors import ScenarioError
 from hil.scenario.kinds import LONGEST_S, Disturbances
 from rigctl.config import strict_yaml
+from rigctl.config.one_line import printable
 from rigctl.config.settings_base import Settings, require
 from rigctl.config.wording import Path, Wording
 
@@ -74,7 +75,7 @@ class ScenarioFile:
 
     def refusal(self, path: Path, found: object, allowed: str) -> ScenarioError:
         """An error about the entry at ``path``."""
-        return ScenarioError([self.wording.say(path, found, allowed)])
+        return ScenarioError([self.wording.say(path, found, printable(allowed))])  # it may quote a file's path
 
 
 def read(path: str | pathlib.Path) -> ScenarioFile:

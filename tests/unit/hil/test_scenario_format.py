@@ -97,6 +97,7 @@ def test_what_is_written_is_what_is_read(tmp_path: pathlib.Path) -> None:
         ("duration_s: 10.0", "duration_s: 10.0\nsets: [1]", "sets.0", "1", "text"),
         ("duration_s: 10.0", "duration_s: 10.0\nsets: [nothing]", "sets.0", "'nothing'", "air_bearing, as_sold"),
         ("duration_s: 10.0", "duration_s: 10.0\nsets: [./no.yaml]", "sets.0", "'./no.yaml'", "no.yaml is not there"),
+        ("duration_s: 10.0", "duration_s: 10.0\nsets: [\u202eabc]", "sets.0", r"'\u202eabc'", r"\u202eabc.yaml is"),
         ("duration_s: 10.0", "duration_s: 10.0\ntarget_n: 500.0", "target_n", "500.0", "50 to 350"),
         ("kind: rotate", "kind: spin", "disturbances.mechanism.0.kind", "'spin'", "rotate or out_and_back"),
         ("kind: rotate, ", "", "disturbances.mechanism.0.kind", "nothing", "rotate or out_and_back"),
