@@ -81,14 +81,14 @@ def say(message: dict[str, Any]) -> None:
     sys.stdout.flush()
 
 
-def half_open(flood: Flood) -> None:
-    """Connections that send nothing; one that is closed is opened again."""
+def _kept_open(flood: Flood, number: int, opened: Callable[[], socket.socket]) -> None:
+    """Keep ``number`` connections that send nothing; one that the other end closes is opened anew."""
     selector = selectors.DefaultSelector()
     there = 0
     while not flood.over and flood.count < OPENINGS_MAX:
         with contextlib.suppress(OSError):
-            while there < HALF_OPEN and not flood.over:
-                connection = socket.create_connection(flood.address, 1.0)
+            while there < number and not flood.over:
+                connection = opened()
                 connection.setblocking(False)
                 selector.register(connection, selectors.EVENT_READ)
                 there += 1
@@ -96,11 +96,16 @@ def half_open(flood: Flood) -> None:
         flood.under_way()
         for key, _ in selector.select(0.02):
             with contextlib.suppress(BlockingIOError, OSError):
-                if key.fileobj.recv(64):  # type: ignore[union-attr]
+                if key.fileobj.recv(4096):  # type: ignore[union-attr]
                     continue
             selector.unregister(key.fileobj)
             key.fileobj.close()  # type: ignore[union-attr]
             there -= 1
+
+
+def half_open(flood: Flood) -> None:
+    """Connections to the gateway's port that send nothing."""
+    _kept_open(flood, HALF_OPEN, lambda: socket.create_connection(flood.address, 1.0))
 
 
 def idle_sessions(flood: Flood) -> None:
@@ -200,9 +205,9 @@ def users_holds(flood: Flood) -> None:
     users = [(one.pw_uid, one.pw_gid) for one in others[:USERS]] or [(os.geteuid(), os.getegid())] * USERS
     for uid, gid in users:
         if os.fork() == 0:
-            die_with_parent(signal.SIGKILL)
             os.setresgid(gid, gid, gid)
             os.setresuid(uid, uid, uid)
+            die_with_parent(signal.SIGKILL)  # a change of user ends an earlier one
             with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as own:
                 own.connect(str(daemon.place.place(socket_name(uid))))
                 while not flood.over:
@@ -214,26 +219,17 @@ def users_holds(flood: Flood) -> None:
 
 
 def idle_connections(flood: Flood) -> None:
-    """Connections of the operator's own user to the command socket, all the time; one that ends is opened anew."""
+    """Connections of the operator's own user to the command socket that send nothing."""
     (daemon,) = meant(local_daemons(), flood.endpoint, flood.keys.rig)
-    place, selector, there = str(daemon.place.place(COMMAND_SOCKET)), selectors.DefaultSelector(), 0
-    while not flood.over and flood.count < OPENINGS_MAX:
-        with contextlib.suppress(OSError):
-            while there < CONNECTIONS and not flood.over:
-                connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-                connection.setblocking(False)
-                connection.connect(place)
-                selector.register(connection, selectors.EVENT_READ)
-                there += 1
-                flood.done()
-        flood.under_way()
-        for key, _ in selector.select(0.02):
-            with contextlib.suppress(BlockingIOError, OSError):
-                if key.fileobj.recv(4096):  # type: ignore[union-attr]
-                    continue
-            selector.unregister(key.fileobj)
-            key.fileobj.close()  # type: ignore[union-attr]
-            there -= 1
+    place = str(daemon.place.place(COMMAND_SOCKET))
+
+    def opened() -> socket.socket:
+        connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        connection.setblocking(False)  # a full backlog is refused at once
+        connection.connect(place)
+        return connection
+
+    _kept_open(flood, CONNECTIONS, opened)
 
 
 def lease_take(flood: Flood) -> None:

@@ -4,7 +4,8 @@ The real daemon on the simulated rig, armed; each flood comes from processes of 
 way of ``rigctl hold`` on the daemon's computer. HOLD over the network is measured too, for comparison: a flood may
 block that way. A HOLD is lost if it gets no reply, or if the loop's record does not show it. An operator of this
 computer commands meanwhile, TARGET or, while users flood the loop's sockets, TENSION: a command is lost if nothing
-answers it. ``moved``: the longest time in ms that the loop was then in another mode than HOLD, FAULT and DISARMED.
+answers it. ``moved``: the longest time in ms that the loop was then in another mode than HOLD, FAULT and DISARMED;
+the users' flood begins while the rig tensions.
 
 The measuring process has a higher priority where it may (``--as-others``: the usual one): the time a command waits for
 a processor of a busy computer, floods of many processes included, is no property of the way.
@@ -91,13 +92,22 @@ class Subject:
             return None
         return passed_ms, (answer["t_ns"] - start) / 1e6
 
-    def moved_ms(self) -> float:
-        """Longest time out of HOLD, FAULT and DISARMED in the records since the last call, by the loop's own ticks."""
+    def moved_ms(self, since_ns: int) -> float:
+        """Longest time out of HOLD, FAULT and DISARMED in the records since the last call, by the loop's own ticks.
+
+        ``since_ns``: the flood's start; what was before does not count.
+        """
         longest, new = 0, self._all.read()
         for mode, t_ns in zip(new["mode"].tolist(), new["t_ns"].tolist(), strict=True):
-            self._left_ns = None if mode in AT_REST else self._left_ns or t_ns
+            self._left_ns = None if mode in AT_REST else max(self._left_ns or t_ns, since_ns)
             longest = max(longest, t_ns - (self._left_ns or t_ns))
         return longest / 1e6
+
+    def tension(self, operator: Client) -> None:
+        """Leave HOLD, so that a flood of HOLD has something to end."""
+        answer = operator.command("tension", OPERATOR)
+        if not answer["accepted"] or answer["mode"] != Mode.TENSIONING.name:
+            raise RuntimeError(f"TENSION was not taken: {answer}")
 
     def _taken(self) -> int:
         record = self._records.latest()
@@ -181,13 +191,17 @@ def measure(rig: Subject, kind: str, count: int, pause_s: float) -> dict[str, An
             network = None
             stack.enter_context(hung(rig))
         elif kind != CALM:
+            if kind == USERS_HOLDS and operator is not None:
+                rig.tension(operator)
             child = stack.enter_context(flooding(kind, rig.endpoint, rig.rig, seconds, rig.floods_key))
+        since_ns = time.monotonic_ns()
         time.sleep(SETTLE_S)
+        moved_ms = max(moved_ms, rig.moved_ms(since_ns))
         for number in range(count):
             local.append(rig.hold())
             if operator is not None and number % NETWORK_EVERY == 0:
                 commanded.append(_commanded(operator, kind))
-            moved_ms = max(moved_ms, rig.moved_ms())
+            moved_ms = max(moved_ms, rig.moved_ms(since_ns))
             if network is not None and number % NETWORK_EVERY == 0 and remote.count(None) < NETWORK_LOST_MAX:
                 remote.append(_over_network(network))
             time.sleep(chance.uniform(0.5, 1.5) * pause_s)
