@@ -1,10 +1,10 @@
 """Limits the growth of the audit log: repeats become one entry, entries beyond the rate are counted.
 
 Accepted commands, trips, changes of mode, the supervisor's actions and kinds not named here are always written; only
-repeats of HOLD and of lease commands become one entry. All others are limited to ``RATE_HZ`` entries and ``RATE_BYTES``
-bytes a second, after ``BURST`` entries or ``BURST_BYTES`` at once, and to ``DAY_BYTES`` in 24 hours; an entry gives the
-count of those left out. HOLD, which needs neither lease nor key, has limits of its own, so that no other flood keeps an
-operator's HOLD off the log.
+repeats of HOLD and of lease commands become one entry. Repeats that go on are counted once a minute. All others are
+limited to ``RATE_HZ`` entries and ``RATE_BYTES`` a second, after ``BURST`` entries or ``BURST_BYTES`` at once, and to
+``DAY_BYTES`` in 24 hours; an entry gives the count of those left out. HOLD, which needs neither lease nor key, has
+limits of its own, so that no other flood keeps an operator's HOLD off the log.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from typing import Any
 from rigctl.config import quantity
 from rigctl.recorder.audit_log import Item
 
-WINDOW_NS = 10_000_000_000
+WINDOW_NS, NEXT_WINDOW_NS = 10_000_000_000, 60_000_000_000
+"""Time in which repeats are counted: the first, and each that follows while they go on."""
 WRITTEN_FIRST = 3  # equal items written within a window before the others are only counted
 RATE_HZ, BURST = 20, 2_000
 RATE_BYTES, BURST_BYTES = 16_384, 1 << 20
@@ -42,6 +43,9 @@ _SAME: dict[str, tuple[str, ...]] = {
     "too_many_commands": (),
     "clock": (),
     "foreign_sdo": ("a",),
+    "bus_error": ("a", "b"),
+    "send_failed": ("text",),
+    "receive_failed": ("text",),
     "cause": ("a",),
     "cause_over": ("a",),
     "stroke_left": ("a",),
@@ -52,8 +56,8 @@ _REPEATED_VERBS = frozenset(
     {"hold", "lease_take", "lease_return", "alarm_acknowledge", "alarm_shelve", "alarm_unshelve"}
 )
 _COUNTED = frozenset({
-    *_SAME, "setting_lost", "command_given", "order", "reply", "bus_error", "emergency", "node_state", "send_failed",
-    "message_refused", "connection_refused", "connection_closed", "foreign_message",
+    *_SAME, "setting_lost", "command_given", "order", "reply", "emergency", "node_state", "message_refused",
+    "connection_refused", "connection_closed", "foreign_message",
 })  # fmt: skip
 """Kinds that are counted instead of written beyond the rate."""
 
@@ -64,6 +68,7 @@ class _Same:
     last: Item
     count: int = 0  # not written
     written: int = 1
+    window_ns: int = WINDOW_NS
 
 
 _OF_HOLD = frozenset({"local_hold_given", "local_hold", "hold_without_lease"})
@@ -158,10 +163,11 @@ class Thinning:
     def _counts(self, now_ns: int, wall_ns: int, *, final: bool) -> list[Item]:
         found = []
         for key, same in list(self._same.items()):
-            if final or now_ns - same.first.t_ns >= WINDOW_NS:
-                del self._same[key]
+            if final or now_ns - same.first.t_ns >= same.window_ns:
                 if not same.count:
+                    del self._same[key]
                     continue
+                self._same[key] = _Same(same.last, same.last, written=WRITTEN_FIRST, window_ns=NEXT_WINDOW_NS)
                 repeated = _repeated(same, now_ns, wall_ns)
                 budget = self._of_hold if _is_hold(same.last) else self._others
                 if final or budget.takes(size_of(repeated), now_ns, always=False):

@@ -28,7 +28,6 @@ from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
 from rigctl.control import last_stroke
-from rigctl.control.events import worded
 from rigctl.control.homed import LastStroke
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
@@ -45,6 +44,7 @@ from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
 from rigctl.supervisor import memory
+from rigctl.supervisor.event_lines import EventLines
 from rigctl.supervisor.service_process import ServiceProcess
 
 POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
@@ -102,6 +102,7 @@ class Supervisor:
         """
         self.settings = settings
         self._say = say
+        self._event_lines = EventLines()
         self._runtime = Runtime.of(settings.rig, layout.run_base(settings.directory))
         self._stopping = False
         self._feed_at_ns = 0
@@ -469,11 +470,8 @@ class Supervisor:
         return found is StallChange.HUNG
 
     def _log_events(self, events: RingReader) -> None:
-        for slot in events.read():
-            kind, a, b, value, limit, text = (slot[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
-            event = worded(kind, a, b, value, limit, text.decode(errors="replace"))
-            prefix = "" if event.severity == "info" else f"{event.severity.upper()}: "
-            self._say(prefix + event.text)
+        for line in self._event_lines.of(events.read()):
+            self._say(line)
 
     def _feed_watchdog(self, records: RingReader) -> None:
         """Feed the service watchdog twice a second, only while the loop writes records."""

@@ -15,6 +15,7 @@ from typing import Any
 
 from rigctl.config.quantity import Number
 from rigctl.config.signals import WATCHED
+from rigctl.control.events import EACH_SECOND
 from rigctl.control.faults import Fault, Trait
 from rigctl.ipc.record import NEVER_AGE_NS
 
@@ -120,7 +121,7 @@ _OTHERS: dict[str, tuple[Priority, Fault]] = {
     "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
     "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
 }
-_REPEATED = ("BUS_ERROR", "SEND_FAILED", "RECEIVE_FAILED")
+_REPEATED = frozenset(kind.name for kind in EACH_SECOND)
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
