@@ -31,7 +31,8 @@ QUIET_S, GROW_S, CHANGE_S = 1.0, 0.5, 0.5  # rest, time of a doubling, time of a
 FIRST_MM = 0.005  # peak stroke at the first level: 10 N on a rope of 2000 N/mm
 FEEL_SHARE = 0.25  # of the level that the rig file allows: where growing ends
 GROWN_SHARE, USED_SHARE = 0.5, 0.8  # of the bound of tension: where growing ends; for the measurement
-FELT_RESTS = 2.0  # an answer is felt if it is larger than this many times the largest deviation at rest
+CALM_S, CALMER = 10, 0.8  # longest rest; a payload that swings has this share of its deviation a second later
+FELT_RESTS = 1.5  # an answer is felt if its standard deviation is larger than this many times that at rest
 GROWTH = 4.0  # largest growth from the level that was felt to that of the measurement
 STRAY_MM, STRAY_N = 0.25, 5.0  # beyond the bounds of stroke and tension
 
@@ -124,7 +125,7 @@ class FrequencyTrial:
         self._growth = 2.0 ** (1.0 / (GROW_S * rate))
         self._at = self._ticks = self._left = 0
         self._level = self._goal = self._step = self._wanted_mm = 0.0  # ``step``: change of level per tick
-        self._sum_n = self._peak_n = 0.0  # of the tension's deviations since they were last cleared
+        self._sum_n = self._square_n2 = self._peak_n = 0.0  # of the tension's deviations since they were last cleared
         self._course = self._run()
         self.wanted_mm_s = 0.0
 
@@ -144,6 +145,7 @@ class FrequencyTrial:
             return Refusal.STRAYED
         self._ticks += 1
         self._sum_n += strays_n
+        self._square_n2 += strays_n * strays_n
         self._peak_n = max(self._peak_n, abs(strays_n))
         if self._left <= 0:
             try:
@@ -159,10 +161,15 @@ class FrequencyTrial:
         """The course of the trial: yields the ticks until its next decision."""
         change, period = round(CHANGE_S * self._rate), len(self._stroke)
         quiet = round(QUIET_S * self._rate)
-        yield quiet
+        rest_n2 = math.inf
+        for _ in range(CALM_S):
+            self._sum_n = self._square_n2 = 0.0
+            yield quiet
+            before_n2, rest_n2 = rest_n2, self._variance_n2(quiet)
+            if rest_n2 > CALMER**2 * before_n2:
+                break
         if not self._regulated:
             self._start_n += self._sum_n / quiet
-        rest_n = self._peak_n
         self._change(self._first)
         yield change
         while self._level < FEEL_SHARE * self._most and 2.0 * self._peak_n < GROWN_SHARE * self._bound_n:
@@ -170,9 +177,9 @@ class FrequencyTrial:
             self._peak_n = 0.0
             yield round(GROW_S * self._rate)
         level = self._level
-        self._peak_n = 0.0
+        self._sum_n = self._square_n2 = self._peak_n = 0.0
         yield period
-        felt = self._peak_n > FELT_RESTS * rest_n
+        felt = self._variance_n2(period) > FELT_RESTS**2 * rest_n2
         if not (felt or self._regulated):
             return Refusal.UNFELT
         bound = USED_SHARE * self._bound_n / self._peak_n * level if felt else self._most
@@ -183,6 +190,11 @@ class FrequencyTrial:
         self._change(0.0)
         yield after
         return Refusal.NONE
+
+    def _variance_n2(self, ticks: int) -> float:
+        """Variance of the tension over the last ``ticks``, since the sums were cleared."""
+        mean_n = self._sum_n / ticks
+        return self._square_n2 / ticks - mean_n * mean_n
 
     def _change(self, level: float) -> None:
         """Change the level to this within `CHANGE_S`."""

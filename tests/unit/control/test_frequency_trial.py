@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -88,6 +89,23 @@ def test_a_cell_that_shows_nothing_ends_it_before_the_level_is_set() -> None:
     assert ended is Refusal.UNFELT
     most = HELD.stroke_mm * frequency_trial.FEEL_SHARE * 2.0
     assert np.abs(ticks[:, 1]).max() < most
+
+
+@pytest.mark.parametrize("swing_n", [0.0, 0.2, 2.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_payload_on_a_soft_support_that_still_swings_is_felt(swing_n: float, seed: int) -> None:
+    """A quarter of the rig file's stiffness, right after a motion of the stroke."""
+    draw = np.random.default_rng(seed)
+    noise = RIG.tension_cell.noise_n * draw.standard_normal(100_000)
+    rate = RIG.loop.rate_hz
+
+    def tension(stretch_mm: float, tick: int) -> float:
+        swing = math.exp(-tick / (0.7 * rate)) * math.cos(2.0 * math.pi * 2.5 * tick / rate)
+        return 1.5 * stretch_mm + swing_n * swing + float(noise[tick])
+
+    ended, ticks = played(tension)
+    assert ended is Refusal.NONE
+    assert ticks[-1, 1] == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize("regulated", [False, True])
