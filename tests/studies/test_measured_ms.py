@@ -23,7 +23,9 @@ SEED, DESIGNS = 1, 5
 AGREES = 0.03  # between the measured peak and that of the linear plant: dead band and ripple are in the one alone
 
 
-@pytest.mark.parametrize(("keener", "about"), [(1.0, 1.40), pytest.param(3.0, 1.47, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("keener", "about"), [(1.0, 1.40), pytest.param(3.0, 1.47, marks=pytest.mark.long), (12.0, 1.90)]
+)
 def test_the_measured_peak_is_that_of_the_plant_as_built(keener: float, about: float) -> None:
     """Two ways that share nothing: a running loop with two multisines, and the linear plant with every loss."""
     designed = design_and_check(RIG).gains
@@ -50,11 +52,21 @@ def test_ticks_that_wake_late_are_within_the_delays_that_the_design_allows_for()
     assert peak.ms - peak.error < worst
 
 
+def test_the_loops_own_probe_does_not_end_a_measurement() -> None:
+    """On this rig our lines at those of the probe had it take the cell for a frozen one."""
+    rig = random_rigs.drawn(RIG, SEED, 5)
+    designed = design_and_check(rig)
+    ms, error, _hz, _level = random_rigs.peak_of(rig, LoopLaw(rig, designed.gains), (1.0,))
+    assert ms is not None
+    assert error is not None
+    assert error < 0.05
+
+
 def test_a_loop_that_trips_while_it_is_measured_has_no_figure() -> None:
-    """With twelve times the gain of the tension Ms is 1.90 by the plant as built, and the excitation trips the rig."""
+    """Gains of the wrong sign: the tension runs away."""
     designed = design_and_check(RIG).gains
-    keen = Gains(12.0 * designed.k_tension, designed.k_speed, designed.k_integral)
-    assert random_rigs.peak_of(RIG, LoopLaw(RIG, keen), (1.0,)) == (None, None, None, None)
+    wrong = Gains(-designed.k_tension, designed.k_speed, -designed.k_integral)
+    assert random_rigs.peak_of(RIG, LoopLaw(RIG, wrong), (1.0,)) == (None, None, None, None)
 
 
 @pytest.mark.long
