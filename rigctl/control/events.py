@@ -73,10 +73,6 @@ class Kind(IntEnum):
     SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
-EACH_SECOND = frozenset({Kind.BUS_ERROR, Kind.SEND_FAILED, Kind.RECEIVE_FAILED})
-"""Failures that the loop reports every second while they last."""
-
-
 class Unmeasured(IntEnum):
     """Why a minute of COMPENSATING gave no margins."""
 

@@ -379,3 +379,7 @@ class Fault(IntEnum):
     def blocks_reset(self) -> bool:
         """A reset is refused while the cause is present."""
         return Trait.BLOCKS_RESET in self.traits
+
+
+EACH_SECOND = ("BUS_ERROR", "SEND_FAILED", "RECEIVE_FAILED")
+"""Kinds of events by which the loop reports a bus that fails, every second while it lasts."""

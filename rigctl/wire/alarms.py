@@ -15,8 +15,7 @@ from typing import Any
 
 from rigctl.config.quantity import Number
 from rigctl.config.signals import WATCHED
-from rigctl.control.events import EACH_SECOND
-from rigctl.control.faults import Fault, Trait
+from rigctl.control.faults import EACH_SECOND, Fault, Trait
 from rigctl.ipc.record import NEVER_AGE_NS
 
 ROWS = 256
@@ -121,7 +120,6 @@ _OTHERS: dict[str, tuple[Priority, Fault]] = {
     "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
     "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
 }
-_REPEATED = frozenset(kind.name for kind in EACH_SECOND)
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
@@ -166,7 +164,7 @@ def cause_of(event: dict[str, Any]) -> str:
 
 def _lasts(row: Alarm, at_ns: int) -> bool:
     """Whether a failure that the loop reports each second is there at ``at_ns``."""
-    return row.cause in _REPEATED and at_ns - row.last_ns <= LASTS_NS
+    return row.cause in EACH_SECOND and at_ns - row.last_ns <= LASTS_NS
 
 
 def _is_nan(value: Any) -> bool:

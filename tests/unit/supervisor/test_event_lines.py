@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from rigctl.control.events import EACH_SECOND, Kind
+from rigctl.control.events import Kind
+from rigctl.control.faults import EACH_SECOND
 from rigctl.ipc.record import EVENT
 from rigctl.supervisor.event_lines import AGAIN_NS, KEPT, EventLines
 
@@ -22,9 +23,9 @@ def slots(of: Iterable[tuple[int, Kind, str]]) -> np.ndarray:
     return found
 
 
-@pytest.mark.parametrize("kind", sorted(EACH_SECOND))
-def test_a_failure_that_lasts_is_printed_once_a_minute(kind: Kind) -> None:
-    lines = EventLines()
+@pytest.mark.parametrize("name", EACH_SECOND)
+def test_a_failure_that_lasts_is_printed_once_a_minute(name: str) -> None:
+    lines, kind = EventLines(), Kind[name]
     printed = [len(list(lines.of(slots([(second * S, kind, "the bus has gone")])))) for second in range(1, 602)]
     assert printed[0] == 1
     assert sum(printed) == 601 * S // AGAIN_NS + 1
