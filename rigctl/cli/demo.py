@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Callable
 
 from rich.console import Console
 from rich.table import Table
@@ -11,7 +10,7 @@ from rich.table import Table
 from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode
 from rigctl.demo.live_rig import own
-from rigctl.demo.script import DemoError, Moment, PausedError
+from rigctl.demo.script import Moment, PausedError, Show
 from rigctl.demo.summary import Summary, rows
 from rigctl.ipc.runtime_folder import daemons
 from rigctl.metrics.tension_error import error_pct
@@ -25,43 +24,50 @@ def run(
 ) -> Summary:
     """Play the demo and print it. ``recordings``: folder for its recording.
 
+    Where this computer twice stops loop or simulated rig for longer than the rig tolerates, it is played in simulated
+    time.
+
     Raises:
         DemoError: the demo could not be played to its end.
     """
     shown = settings.rig
     settings = own_settings(settings, recordings)
-    how = "simulated time" if lockstep else "real time"
-    console.print(
-        f"[bold]{shown}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
-        f"back at {demo.speed_deg_s:g} deg/s, release, disarm ({how})",
-        highlight=False,
-    )
 
-    if not lockstep:
-        where = f"rigctl watch --connect {settings.telemetry.listen}"
-        console.print(f"its own daemon is {settings.rig}: {where}", highlight=False, soft_wrap=True)
+    def begin(how: str) -> None:
+        console.print(
+            f"[bold]{shown}[/]: arm, tension to {settings.tension.target_n:g} N, {demo.angle_deg:g} deg out and "
+            f"back at {demo.speed_deg_s:g} deg/s, release, disarm ({how})",
+            highlight=False,
+        )
 
     def show(moment: Moment, step: str) -> None:
         console.print(_line(moment, step), highlight=False, soft_wrap=True)
 
-    if lockstep:
-        from rigctl.demo.lockstep import play_lockstep as play
-    else:
-        from rigctl.demo.live import play_live as play
-    try:
-        summary = play(settings, demo, show)
-    except PausedError as error:
-        console.print(f"{error}, and the rig tripped, as it should; once more", highlight=False, soft_wrap=True)
-        summary = _play_again(lambda: play(settings, demo, show))
+    summary = None
+    if not lockstep:
+        begin("real time")
+        where = f"rigctl watch --connect {settings.telemetry.listen}"
+        console.print(f"its own daemon is {settings.rig}: {where}", highlight=False, soft_wrap=True)
+        summary = _in_real_time(settings, demo, show, console)
+    if summary is None:
+        from rigctl.demo.lockstep import play_lockstep
+
+        begin("simulated time")
+        summary = play_lockstep(settings, demo, show)
     _print_summary(summary, demo, console)
     return summary
 
 
-def _play_again(play: Callable[[], Summary]) -> Summary:
-    try:
-        return play()
-    except PausedError as error:
-        raise DemoError(f"{error}, again: it is too busy for real time; rigctl demo --lockstep needs none") from None
+def _in_real_time(settings: RigSettings, demo: DemoSettings, show: Show, console: Console) -> Summary | None:
+    """The demo in real time; None where this computer has no time for it, as two tries have shown."""
+    from rigctl.demo.live import play_live
+
+    for then in ("once more", "now in simulated time, which needs no real time"):
+        try:
+            return play_live(settings, demo, show)
+        except PausedError as error:
+            console.print(f"{error}, and the rig tripped, as it should; {then}", highlight=False, soft_wrap=True)
+    return None
 
 
 def own_settings(settings: RigSettings, recordings: pathlib.Path) -> RigSettings:
@@ -88,7 +94,8 @@ def _line(moment: Moment, step: str) -> str:
 
 
 def _print_summary(summary: Summary, demo: DemoSettings, console: Console) -> None:
-    table = Table("", "measured", "limit", "", title=f"demo, {summary.duration_s:g} s", title_justify="left", box=None)
+    title = f"demo, {summary.duration_s:g} s{'' if summary.real_time else ' of simulated time'}"
+    table = Table("", "measured", "limit", "", title=title, title_justify="left", box=None)
     for name, measured, limit, met in rows(summary, demo):
         mark = "" if met is None else "[green]met[/]" if met else "[bold red]NOT MET[/]"
         table.add_row(name, measured, limit, mark)

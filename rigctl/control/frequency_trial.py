@@ -31,7 +31,7 @@ QUIET_S, GROW_S, CHANGE_S = 1.0, 0.5, 0.5  # rest, time of a doubling, time of a
 FIRST_MM = 0.005  # peak stroke at the first level: 10 N on a rope of 2000 N/mm
 FEEL_SHARE = 0.25  # of the level that the rig file allows: where growing ends
 GROWN_SHARE, USED_SHARE = 0.5, 0.8  # of the bound of tension: where growing ends; for the measurement
-CALM_S, CALMER = 10, 0.8  # longest rest; a payload that swings has this share of its deviation a second later
+CALM_RESTS, CALMER = 10, 0.8  # rests at most; from one to the next a swinging payload calms to this share
 FELT_RESTS = 1.5  # an answer is felt if its standard deviation is larger than this many times that at rest
 GROWTH = 4.0  # largest growth from the level that was felt to that of the measurement
 STRAY_MM, STRAY_N = 0.25, 5.0  # beyond the bounds of stroke and tension
@@ -162,7 +162,7 @@ class FrequencyTrial:
         change, period = round(CHANGE_S * self._rate), len(self._stroke)
         quiet = round(QUIET_S * self._rate)
         rest_n2 = math.inf
-        for _ in range(CALM_S):
+        for _ in range(CALM_RESTS):
             self._sum_n = self._square_n2 = 0.0
             yield quiet
             before_n2, rest_n2 = rest_n2, self._variance_n2(quiet)

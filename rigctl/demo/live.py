@@ -32,7 +32,7 @@ from rigctl.recorder import parts
 
 OPERATOR = "demo"
 STATE_LIMIT_S = 2.0
-PAUSE_TICKS = 10  # ticks missed together that mean a pause: a computer with time for the loop never misses as many
+PAUSE_TICKS = 10  # missed by the loop, or without a sample: a computer with time for both processes has never as many
 
 
 class LiveStage:
@@ -135,7 +135,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     """Play the demo in real time.
 
     Raises:
-        PausedError: the rig tripped because this computer stopped the loop.
+        PausedError: the rig tripped because this computer stopped the loop or the simulated rig.
         DemoError: a process did not start or answer, or the script could not be played to its end.
     """
     if settings.can.interface != "rigsim":
@@ -169,8 +169,9 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     """The error for a trip caused by a pause of this computer; None for any other trip.
 
-    The loop's own records show the pause: missed periods of the grid within the window of the overrun's limit. A tick
-    that wakes late skips periods only after its own decision, so the trip may stand in the record before them.
+    The loop's own records show it, within the window of the overrun's limit: periods of the grid that were missed, or
+    samples that did not come, since no device of the demo's rig falls silent. A tick that wakes late skips periods only
+    after its own decision, so the trip may be in the record before them.
     """
     stage.pass_time(0.0)
     records = np.concatenate(stage.records)
@@ -182,10 +183,13 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     begin = int(np.searchsorted(records["t_ns"], end_ns - settings.safety.overrun_window_ms * 1_000_000))
     after = min(end + 1, len(records) - 1)
     missed = int(records["skipped"][after]) - int(records["skipped"][max(0, begin - 1)])  # since the tick before it
-    if missed < PAUSE_TICKS:
+    silent_ns = max(int(records[age][begin : end + 1].max()) for age in ("tension_age_ns", "drive_age_ns"))
+    stopped = [(missed, "the loop"), (silent_ns // settings.loop.period_ns, "the simulated rig")]
+    ticks, what = max(stopped)
+    if ticks < PAUSE_TICKS:
         return None
-    stopped_ms = missed * settings.loop.period_ns / 1e6
-    return PausedError(f"this computer stopped the loop for {stopped_ms:.0f} ms at {stage.since_start_s(end_ns):.1f} s")
+    stopped_ms = ticks * settings.loop.period_ns / 1e6
+    return PausedError(f"this computer stopped {what} for {stopped_ms:.0f} ms at {stage.since_start_s(end_ns):.1f} s")
 
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:

@@ -22,7 +22,7 @@ class TrippedError(DemoError):
 
 
 class PausedError(DemoError):
-    """This computer stopped the loop for longer than the rig tolerates."""
+    """This computer stopped the loop or the simulated rig for longer than the rig tolerates."""
 
 
 @dataclass(frozen=True)

@@ -53,6 +53,7 @@ class Summary:
     frames: Frames
     telemetry: Telemetry | None  # None in lockstep: there is no subscriber
     duration_s: float
+    real_time: bool  # with processes of its own; False: in simulated time
     tripped: bool
     recording: str | None  # its first part; None without a recording
     passed: bool
@@ -101,6 +102,7 @@ def summarise(
         frames=Frames(int(records["frames_sent"][-1]), int(records["frames_received"][-1]), lost),
         telemetry=telemetry,
         duration_s=round(float(records["t_ns"][-1] - records["t_ns"][0]) * 1e-9, 1),
+        real_time=telemetry is not None,
         tripped=tripped,
         recording=str(recording) if recording is not None else None,
         passed=passed,
