@@ -77,10 +77,10 @@ def test_a_smoke_test_is_repeated_twice_and_named_in_the_run_after_it(
     where = {"PYTHONPATH": str(ROOT), "SMOKE_SUMMARY": str(tmp_path / "smoke.txt")}
     smoke, others = (
         subprocess.run(
-            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", file],
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *options, file],
             cwd=tmp_path, env=where, capture_output=True, text=True, check=False,
         )
-        for file in ("test_live.py", "test_other.py")
+        for file, options in (("test_live.py", ("--numprocesses", "2")), ("test_other.py", ()))
     )  # fmt: skip
     assert (smoke.returncode, others.returncode) == (code, 0), smoke.stdout + others.stdout
     made = counted.read_text().split()
