@@ -3,7 +3,7 @@
 What a published rule asks for says nothing of Ms over a family or of the command's noise, so that laws tuned by rules
 cannot be compared by their errors alone. Here every law has the same knowledge (the identified plant and its family),
 the same limits (`design.ms_max`, `design.command_noise_max_mm_s`) and the same searches for the least error. Whether
-the limit of Ms holds on the rig as built is judged too, with its own damping, which no search sees.
+the limit of Ms holds on the rig as built, which no search sees, is measured there.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ from typing import Any, NamedTuple
 from hil.compare import identification
 from hil.compare.compared_runs import ComparedRun
 from hil.compare.comparison import WAIVER, judge
+from hil.compare.measured_ms import Peak, measured
 from hil.compare.rivals import OURS
 from hil.compare.rivals.feedback import Rival
 from hil.compare.rivals.tunable import TUNABLE
-from hil.compare.tuned_laws import FamilyResponses, TunedLaw, judged, knobs_of, tuned
+from hil.compare.tuned_laws import TunedLaw, knobs_of, tuned
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import play
 from hil.study.rows_file import RowsFile
@@ -30,7 +31,6 @@ from rigctl.design.gains import design
 from rigctl.design.identified import Identified
 from rigctl.design.knobs import knobs_for, searchable, turned
 from rigctl.design.margins import design_and_check
-from rigctl.design.margins import judge as judge_design
 from rigctl.design.plant_family import Family
 from rigctl.design.verdict import Design
 
@@ -63,6 +63,13 @@ class Known(NamedTuple):
         believed = searchable(identified.believing(rig, found))
         return cls(believed, found, identified.family(believed, found))
 
+    @property
+    def in_key(self) -> str:
+        """The plant in the key of a row: no two rigs are identified alike to six digits."""
+        plant, mechanism = self.settings.plant, self.plant.mechanism_n_mm
+        k_m = "rigid" if mechanism is None else f"{mechanism.value:.6g}"
+        return f"{plant.stiffness_n_mm:.6g} {plant.cylinder_lag_s:.6g} {plant.command_delay_s:.6g} {k_m}"
+
 
 class EqualLimits(NamedTuple):
     """The study: results by run and law, tunings by law and plant."""
@@ -73,8 +80,8 @@ class EqualLimits(NamedTuple):
     outcomes: dict[tuple[str, str], RunErrors]
     tunings: dict[tuple[str, str], TunedLaw]
     """By run and law."""
-    true_ms: dict[tuple[str, str], float]
-    """Ms with the plant as built, by run and law; infinite where the loop is unstable."""
+    true_ms: dict[tuple[str, str], Peak | None]
+    """Measured on the rig as built, by run and law; None where the rig does not stay in COMPENSATING meanwhile."""
 
     def wins(self) -> Iterator[tuple[str, bool]]:
         """Per run whether ours has the least rms, of the laws that reach the end."""
@@ -96,7 +103,7 @@ def study(
         ScenarioError: the rig cannot be simulated.
     """
     outcomes, tunings = dict[tuple[str, str], RunErrors](), dict[tuple[str, str], TunedLaw]()
-    true_ms = dict[tuple[str, str], float]()
+    true_ms = dict[tuple[str, str], Peak | None]()
     for law in laws:
         base = tuning(Known.of(rig), law, rows, designs=designs)
         say(
@@ -107,11 +114,12 @@ def study(
             settings = run.settings(rig, WAIVER)
             known = Known.of(settings, identified_by(settings, run.name, rows))
             tunings[run.name, law] = mine = tuning(known, law, rows, base, designs=designs)
-            true_ms[run.name, law] = ms_as_built(settings, known, mine)
+            runs_by = loop_law(known, mine)
+            true_ms[run.name, law] = peak = peak_by(settings, known, law, runs_by, rows)
             key = f"play {run.name} {law}"
-            kept = rows.get(key) or rows.put(key, played(settings, loop_law(known, mine), run)._asdict())
+            kept = rows.get(key) or rows.put(key, played(settings, runs_by, run)._asdict())
             outcomes[run.name, law] = found = RunErrors(**kept)
-            say(f"{law}: {run.name}: {_words(found)}")
+            say(f"{law}: {run.name}: {_words(found)}, {'Ms not measured' if peak is None else peak.in_words()}")
     return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings, true_ms)
 
 
@@ -131,9 +139,7 @@ def tuning(
     Where the local search finds nothing within the limits, the whole range is searched. ``name``: under which it is
     kept, the law's by default. ``designs``: for each knob and start, None for the default.
     """
-    plant, mechanism = known.settings.plant, known.plant.mechanism_n_mm
-    k_m = "rigid" if mechanism is None else f"{mechanism.value:.6g}"
-    key = f"tune {name or law} {plant.stiffness_n_mm:.6g} {plant.cylinder_lag_s:.6g} {plant.command_delay_s:.6g} {k_m}"
+    key = f"tune {name or law} {known.in_key}"
     kept = rows.get(key)
     if kept is None:
         start = base.values if base is not None and base.within else None
@@ -163,6 +169,8 @@ class LoopLaw(NamedTuple):
     settings: RigSettings
     gains: Gains
     factory: Callable[[RigSettings, Gains, Inbox], TensionLaw] | None = None
+    levels: tuple[float, ...] = (1.0,)
+    """Of the filter, at which Ms is measured: both ends and the design's worst, where ours has two settings."""
 
 
 def our_design(known: Known, values: Sequence[float]) -> tuple[RigSettings, Design]:
@@ -175,7 +183,7 @@ def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
     """A tuned law for the loop."""
     if law.name == OURS:
         used, designed = our_design(known, law.values)
-        return LoopLaw(used, designed.gains)
+        return LoopLaw(used, designed.gains, levels=tuple(sorted({0.0, 1.0, designed.worst_level})))
     make = TUNABLE[law.name].make
 
     def rival(settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
@@ -184,15 +192,24 @@ def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
     return LoopLaw(known.settings, design(known.settings), rival)
 
 
-def ms_as_built(settings: RigSettings, known: Known, law: TunedLaw) -> float:
-    """Ms of a tuned law on the rig as built, with its damping; infinite where the loop is unstable."""
-    truth = Family("true", (identification.true_plant(settings),))
-    runs = loop_law(known, law)
-    if law.name == OURS:
-        return judge_design(runs.settings, runs.gains, family=truth).ms_max
-    make = TUNABLE[law.name].make
-    found = judged(runs.settings, lambda: make(runs.settings, law.values), FamilyResponses(runs.settings, truth))
-    return math.inf if found is None else found.ms
+def peak_by(settings: RigSettings, known: Known, law: str, runs: LoopLaw, rows: RowsFile) -> Peak | None:
+    """`peak_of` a law that is tuned for what is known of the rig; it is kept in ``rows``."""
+    key = f"ms {law} {known.in_key}"
+    kept = rows.get(key)
+    if kept is None:
+        peak = peak_of(settings, runs)
+        kept = rows.put(key, {} if peak is None else peak._asdict())
+    return Peak(**kept) if kept else None
+
+
+def peak_of(settings: RigSettings, runs: LoopLaw) -> Peak | None:
+    """Ms measured on the rig of ``settings``; None where it does not stay in COMPENSATING meanwhile."""
+    try:
+        return measured(settings, runs.settings, runs.gains, runs.levels, runs.factory)
+    except ScenarioError as error:
+        if error.exit_code != 1:
+            raise
+        return None
 
 
 def played(settings: RigSettings, law: LoopLaw, run: ComparedRun) -> RunErrors:
@@ -230,7 +247,7 @@ def document(found: EqualLimits) -> dict[str, Any]:
                     **found.outcomes[run.name, law]._asdict(),
                     **{name: plain(value) for name, value in found.tunings[run.name, law]._asdict().items()},
                     "spread_pct": found.tunings[run.name, law].spread_pct,
-                    "ms_as_built": plain(found.true_ms[run.name, law]),
+                    "ms_measured": None if (peak := found.true_ms[run.name, law]) is None else peak._asdict(),
                     "knobs": [knob.key for knob in knobs_of(law, found.rig)],
                 }
                 for law in found.laws

@@ -63,6 +63,10 @@ class Peak(NamedTuple):
     level: float
     """0 quiet, 1 open."""
 
+    def in_words(self) -> str:
+        """Ms with its interval and frequency."""
+        return f"Ms {self.ms:.3f} +- {self.error:.3f} at {self.hz:.3g} Hz"
+
 
 class HeldLevel:
     """In the place of the filter's `Opening`: a level that stays."""

@@ -16,8 +16,7 @@ import numpy as np
 
 from hil.compare import identification
 from hil.compare.compared_runs import ComparedRun
-from hil.compare.equal_limits import Known, LoopLaw, loop_law, our_design, plain, played, tuning
-from hil.compare.measured_ms import measured
+from hil.compare.equal_limits import Known, LoopLaw, loop_law, peak_of, plain, played, tuning
 from hil.compare.rivals import OURS
 from hil.compare.tuned_laws import TunedLaw
 from hil.plant.layout import MECHANISM
@@ -38,8 +37,6 @@ ASSUMED = "ours_assumed"
 """Our law without an identification: the rig file's plant and weights, over the assumed family."""
 DEFAULT_LAWS = (OURS, ASSUMED)
 Say = Callable[[str], None]
-MeasuredPeak = tuple[float | None, float | None, float | None, float | None]
-"""Ms, half of its 95 % interval, its frequency in Hz, the filter's level."""
 
 
 class RigRow(NamedTuple):
@@ -137,7 +134,6 @@ def row_of(
 ) -> RigRow:  # fmt: skip
     """A law on one rig: tuned for what was identified, Ms measured, the move played."""
     settings = drawn(rig, seed, index)
-    levels: tuple[float, ...] = (1.0,)
     if law == ASSUMED:
         designed = design_and_check(settings)
         runs, family = LoopLaw(settings, designed.gains), designed.ms_max
@@ -150,13 +146,13 @@ def row_of(
             return RigRow(index, law, *_built(settings), *(None,) * 8, str(error))
         mine = tuning(known, law, RowsFile(None, {}), base, designs=designs)
         runs, family = loop_law(known, mine), mine.ms
-        if law == OURS:
-            _, designed = our_design(known, mine.values)
-            levels = tuple(sorted({0.0, 1.0, designed.worst_level}))
-    peak = peak_of(settings, runs, levels)
+    peak = peak_of(settings, runs)
     outcome = played(settings, runs, scenario())
+    found: tuple[float | None, float | None, float | None, float | None] = None, None, None, None
+    if peak is not None:
+        found = peak.ms, peak.error, peak.hz, peak.level
     return RigRow(
-        index, law, *_built(settings), *peak, plain(family), outcome.eta_max_pct, outcome.eta_rms_pct, outcome.micro_g,
+        index, law, *_built(settings), *found, plain(family), outcome.eta_max_pct, outcome.eta_rms_pct, outcome.micro_g,
         outcome.ended,
     )  # fmt: skip
 
@@ -164,17 +160,6 @@ def row_of(
 def _built(settings: RigSettings) -> tuple[float, float | None]:
     plant = identification.built(settings)
     return plant.stiffness_n_mm, plant.mechanism_n_mm
-
-
-def peak_of(settings: RigSettings, runs: LoopLaw, levels: Sequence[float]) -> MeasuredPeak:
-    """Ms measured on the rig of ``settings``, its error, frequency and level; nothing where the rig trips."""
-    try:
-        peak = measured(settings, runs.settings, runs.gains, levels, runs.factory)
-    except ScenarioError as error:
-        if error.exit_code != 1:
-            raise
-        return None, None, None, None
-    return peak.ms, peak.error, peak.hz, peak.level
 
 
 def summary(rows: Sequence[RigRow], ms_max: float) -> dict[str, dict[str, Any]]:

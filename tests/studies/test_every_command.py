@@ -20,6 +20,7 @@ from hil.cli import files
 from hil.compare import equal_limits, front, random_rigs
 from hil.compare.equal_limits import EqualLimits, RunErrors
 from hil.compare.front import FrontPoint
+from hil.compare.measured_ms import Peak
 from hil.compare.random_rigs import RigRow
 from hil.compare.rivals import OURS
 from hil.compare.tuned_laws import TunedLaw
@@ -75,7 +76,8 @@ def fault_rows(_rig: Any, rows: Any, _advance: Any) -> list[FaultResult]:
 def equal(*_: Any) -> EqualLimits:
     found = {(RUN.name, OURS): RunErrors(np.float64(0.01), 0.002, None, 20.0, "COMPENSATING")}
     law = TunedLaw(OURS, (np.float64(1.0),), True, 0.0, 1.5, 0.4)
-    return EqualLimits(RIG, (RUN,), (OURS,), found, {(RUN.name, OURS): law}, {(RUN.name, OURS): np.float64(1.3)})
+    peak = Peak(np.float64(1.3), 0.01, np.float64(20.0), "input", 1.0)
+    return EqualLimits(RIG, (RUN,), (OURS,), found, {(RUN.name, OURS): law}, {(RUN.name, OURS): peak})
 
 
 MOVED = Moved(np.float64(0.1), 0.1, 0.2, "HOLD")

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import pathlib
+
 import pytest
 
-from hil.compare import random_rigs
-from hil.compare.equal_limits import Known, LoopLaw, tuning
+from hil.compare import equal_limits, random_rigs
+from hil.compare.equal_limits import Known, LoopLaw, loop_law, tuning
 from hil.compare.identification import true_plant
 from hil.compare.measured_ms import measured
 from hil.compare.rivals import OURS
+from hil.compare.tuned_laws import TunedLaw, knobs_of
 from hil.faults.in_controller import MOST_LATE
 from hil.study.rows_file import RowsFile
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.control.tension import Gains
+from rigctl.design.knobs import value_of
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.plant_family import Family
 from tests.builders.paths import ROOT
@@ -56,17 +60,33 @@ def test_the_loops_own_probe_does_not_end_a_measurement() -> None:
     """On this rig our lines at those of the probe had it take the cell for a frozen one."""
     rig = random_rigs.drawn(RIG, SEED, 5)
     designed = design_and_check(rig)
-    ms, error, _hz, _level = random_rigs.peak_of(rig, LoopLaw(rig, designed.gains), (1.0,))
-    assert ms is not None
-    assert error is not None
-    assert error < 0.05
+    peak = equal_limits.peak_of(rig, LoopLaw(rig, designed.gains))
+    assert peak is not None
+    assert peak.error < 0.05
 
 
 def test_a_loop_that_trips_while_it_is_measured_has_no_figure() -> None:
     """Gains of the wrong sign: the tension runs away."""
     designed = design_and_check(RIG).gains
     wrong = Gains(-designed.k_tension, designed.k_speed, -designed.k_integral)
-    assert random_rigs.peak_of(RIG, LoopLaw(RIG, wrong), (1.0,)) == (None, None, None, None)
+    assert equal_limits.peak_of(RIG, LoopLaw(RIG, wrong)) is None
+
+
+@pytest.mark.parametrize(("law", "values"), [("pi", (0.026, 6.5)), (OURS, None)])
+def test_a_tuned_law_is_measured_on_the_rig_as_built_with_its_damping(
+    law: str, values: tuple[float, ...] | None, tmp_path: pathlib.Path
+) -> None:
+    """A law is tuned for the identified plant; the rig has ten times the loss of that at 80 Hz."""
+    known, rows = Known.of(RIG), RowsFile(tmp_path / "rows.jsonl", {})
+    values = values or tuple(float(value_of(known.settings, knob.key)) for knob in knobs_of(law, known.settings))
+    runs = loop_law(known, TunedLaw(law, values, True, 0.0, 1.5, 0.1))
+    peak = equal_limits.peak_by(RIG, known, law, runs, rows)
+    lossy = equal_limits.peak_of(changed(RIG, {"simulation.rope.damping_n_s_mm": 0.5}), runs)
+    assert peak is not None
+    assert lossy is not None
+    assert peak.ms - peak.error <= 1.6
+    assert lossy.ms > 1.2 * peak.ms
+    assert equal_limits.peak_by(changed(RIG, {"plant.payload_kg": 1.0}), known, law, runs, rows) == peak, "kept"
 
 
 @pytest.mark.long

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pathlib
+from dataclasses import replace
 from io import StringIO
 from typing import Any
 
@@ -14,6 +15,7 @@ from rich.console import Console
 from hil.compare import equal_limits, front, identification, random_rigs
 from hil.compare.equal_limits import COMPARED, EqualLimits, Known, RunErrors, tuning
 from hil.compare.law_robustness import robustness
+from hil.compare.measured_ms import Peak
 from hil.compare.random_rigs import RigRow, drawn, summary
 from hil.compare.rivals import LAWS, OURS
 from hil.compare.rivals.feedback import Model
@@ -24,7 +26,6 @@ from hil.scenario.errors import ScenarioError
 from hil.study.rows_file import RowsFile
 from rigctl.config.changed_settings import changed
 from rigctl.design import identified, plant_family
-from rigctl.design.knobs import value_of
 from rigctl.design.margins import design_and_check
 from rigctl.design.plant_family import Family
 from tests.builders.rig_bench import SETTINGS
@@ -88,33 +89,41 @@ def test_the_spread_of_starts_is_none_where_one_found_nothing() -> None:
     assert equal_limits.spread_in_words(law) == "within 5.0 %"
 
 
-@pytest.mark.parametrize(("law", "values"), [("pi", (0.026, 6.5)), (OURS, None)])
-def test_ms_is_judged_on_the_rig_as_built_with_its_damping(law: str, values: tuple[float, ...] | None) -> None:
-    """A law is tuned for the identified plant; the rig has ten times the loss of that at 80 Hz."""
-    known = Known.of(RIG)
-    values = values or tuple(float(value_of(known.settings, knob.key)) for knob in knobs_of(law, known.settings))
-    mine = TunedLaw(law, values, True, 0.0, 1.5, 0.1)
-    lossy = changed(RIG, {"simulation.rope.damping_n_s_mm": 0.5})
-    found = [equal_limits.ms_as_built(rig, known, mine) for rig in (RIG, lossy)]
-    assert found[0] <= 1.6
-    assert found[1] > 1.2 * found[0]
-
-
-def test_the_table_of_searches_has_starts_spread_and_ms_on_the_rig_as_built() -> None:
+def test_the_table_of_searches_has_starts_spread_and_the_measured_ms() -> None:
     run = random_rigs.scenario()
     one = TunedLaw(OURS, (1.0,), True, 0.0, 1.55, 0.4, (0.0, math.log(1.07), 0.0))
     none = TunedLaw("pi", (0.1, 2.0), True, 0.0, 1.5, 0.4, (0.0, math.inf, 0.1))
     errors = RunErrors(0.01, 0.002, None, 20.0, "COMPENSATING")
+    peaks = {"pi": Peak(1.71, 0.02, 20.0, "input", 1.0), OURS: Peak(1.61, 0.02, 20.0, "input", 0.0)}
     found = EqualLimits(
-        RIG, (run,), ("pi", OURS), {(run.name, "pi"): errors, (run.name, OURS): errors},
-        {(run.name, "pi"): none, (run.name, OURS): one}, {(run.name, "pi"): 1.71, (run.name, OURS): 1.52},
+        RIG, (run,), ("pi", OURS), {(run.name, law): errors for law in peaks},
+        {(run.name, "pi"): none, (run.name, OURS): one}, {(run.name, law): peak for law, peak in peaks.items()},
     )  # fmt: skip
     said = StringIO()
     show_equal_limits(found, Console(file=said, width=132))
     rows = [line.split() for line in said.getvalue().splitlines()]
-    assert ["ours", "3", "3", "7.0", "7.0", "1.55", "1.52"] in rows
-    assert ["PI", "3", "2", "-", "-", "1.50", "1.71"] in rows
-    assert "Ms on the rig as built above 1.6: pi in random 1.71" in said.getvalue()
+    assert ["ours", "3", "3", "7.0", "7.0", "1.55", "1.61", "+-", "0.02"] in rows
+    assert ["PI", "3", "2", "-", "-", "1.50", "1.71", "+-", "0.02"] in rows
+    assert "measured Ms above 1.6: pi in random 1.71\n" in said.getvalue(), "ours is not, beyond its interval"
+
+
+def test_every_table_ends_with_the_geometric_mean_of_a_law_that_has_reached_each_end() -> None:
+    first = random_rigs.scenario()
+    runs = (first, replace(first, name="second", title="second move"))
+    errors = {
+        ("random", OURS): RunErrors(0.01, 0.002, None, 20.0, "COMPENSATING"),
+        ("second", OURS): RunErrors(0.04, 0.008, None, 80.0, "COMPENSATING"),
+        ("random", "pi"): RunErrors(0.02, 0.003, None, 30.0, "COMPENSATING"),
+        ("second", "pi"): RunErrors(None, None, None, None, "FAULT"),
+    }
+    costs = {"random": math.log(0.1), "second": math.log(0.9)}
+    tunings = {place: TunedLaw(place[1], (1.0,), True, costs[place[0]], 1.5, 0.4) for place in errors}
+    said = StringIO()
+    found = EqualLimits(RIG, runs, ("pi", OURS), errors, tunings, dict.fromkeys(errors))
+    show_equal_limits(found, Console(file=said, width=132))
+    rows = [line.split() for line in said.getvalue().splitlines()]
+    means = [row[2:] for row in rows if row[:2] == ["geometric", "mean"]]
+    assert means == [["-", "0.004*"], ["-", "0.02*"], ["-", "40*"], ["0.3*", "0.3*"]]
 
 
 def test_a_law_that_is_unstable_on_its_own_plant_is_beyond_every_limit() -> None:
@@ -189,11 +198,11 @@ def test_ours_wins_a_run_only_with_the_least_rms() -> None:
             (run.name, "pi"): RunErrors(0.01, other, None, 20.0, "COMPENSATING"),
         }
         tunings = {(run.name, OURS): one, (run.name, "pi"): one._replace(name="pi", values=(0.1, 2.0))}
-        true_ms = {(run.name, OURS): 1.5, (run.name, "pi"): math.inf}
+        true_ms = {(run.name, OURS): Peak(1.5, 0.01, 20.0, "input", 1.0), (run.name, "pi"): None}
         found = EqualLimits(RIG, (run,), ("pi", OURS), outcomes, tunings, true_ms)
         assert dict(found.wins()) == {run.name: won}
         said = json.loads(json.dumps(equal_limits.document(found), allow_nan=False))["scenarios"][run.name]
-        assert (said[OURS]["ms_as_built"], said["pi"]["ms_as_built"]) == (1.5, None)
+        assert (said[OURS]["ms_measured"]["ms"], said["pi"]["ms_measured"]) == (1.5, None)
 
 
 def test_residual_acceleration_is_the_error_over_the_payload() -> None:
