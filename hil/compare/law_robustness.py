@@ -91,6 +91,7 @@ def response(feedback: Feedback, z: ComplexArray, ticks: int = ANSWER_TICKS) -> 
     return result
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of a loop that is unstable: its tension is not finite
 def swing(plant: Member, feedback: Feedback, kick: Array) -> Array:
     """True tension, N, of the linear loop without limits, disturbed by the speeds ``kick``, mm/s, one per tick."""
     state, late = np.zeros(len(plant.a)), [0.0] * plant.delay_ticks

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pathlib
+import warnings
 from dataclasses import replace
 from io import StringIO
 from typing import Any
@@ -12,7 +13,7 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hil.compare import equal_limits, front, identification, random_rigs
+from hil.compare import equal_limits, front, identification, law_robustness, random_rigs
 from hil.compare.equal_limits import COMPARED, EqualLimits, Known, RunErrors, tuning
 from hil.compare.law_robustness import robustness
 from hil.compare.measured_ms import Peak
@@ -131,6 +132,13 @@ def test_a_law_that_is_unstable_on_its_own_plant_is_beyond_every_limit() -> None
     plants = FamilyResponses(known.settings, known.family)
     found = judged(known.settings, lambda: TUNABLE["p"].make(known.settings, (3.0,)), plants)
     assert found is None or found.ms > RIG.design.ms_max
+
+
+def test_a_loop_that_grows_beyond_every_number_does_not_die_out_and_prints_nothing() -> None:
+    own, feedback = plant_family.family(RIG)[0], TUNABLE["p"].make(RIG, (1e6,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert not law_robustness.dies_out(own, feedback, 2000)
 
 
 def test_what_is_known_exactly_is_the_rig_as_built() -> None:
