@@ -10,7 +10,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import can
 import canopen
@@ -26,6 +26,7 @@ from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, s
 from rigctl.demo.script import DemoError, Moment, PausedError, Show, TrippedError, play
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.devices import objects as od
+from rigctl.ipc.record import NEVER_AGE_NS
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts
@@ -167,14 +168,34 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 
 
 def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
-    """The error for a trip caused by a pause of this computer; None for any other trip.
-
-    The loop's own records show it, within the window of the overrun's limit: periods of the grid that were missed, or
-    samples that did not come, since no device of the demo's rig falls silent. A tick that wakes late skips periods only
-    after its own decision, so the trip may be in the record before them.
-    """
+    """The error for a trip caused by a pause of this computer; None for any other trip."""
     stage.pass_time(0.0)
-    records = np.concatenate(stage.records)
+    pause = pause_before_trip(np.concatenate(stage.records), settings)
+    if pause is None:
+        return None
+    at_s = stage.since_start_s(pause.trip_ns)
+    return PausedError(f"this computer stopped {pause.stopped} for {pause.duration_ms:.0f} ms at {at_s:.1f} s")
+
+
+class Pause(NamedTuple):
+    """What this computer stopped before a trip, for how long, and when the loop tripped (CLOCK_MONOTONIC)."""
+
+    stopped: str
+    duration_ms: float
+    trip_ns: int
+
+
+def pause_before_trip(records: npt.NDArray[Any], settings: RigSettings) -> Pause | None:
+    """The longest pause within the window of the overrun's limit before the first trip; None without one.
+
+    The loop's own records show it: periods of the grid that were missed, or samples that did not come, since no device
+    of the demo's rig falls silent. A tick that wakes late skips periods only after its own decision, so the trip may be
+    in the record before them.
+
+    Args:
+        records: ``record.RECORD`` slots.
+        settings: the rig's.
+    """
     tripped = np.flatnonzero(records["mode"] == Mode.FAULT)
     if not len(tripped):
         return None
@@ -183,13 +204,10 @@ def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
     begin = int(np.searchsorted(records["t_ns"], end_ns - settings.safety.overrun_window_ms * 1_000_000))
     after = min(end + 1, len(records) - 1)
     missed = int(records["skipped"][after]) - int(records["skipped"][max(0, begin - 1)])  # since the tick before it
-    silent_ns = max(int(records[age][begin : end + 1].max()) for age in ("tension_age_ns", "drive_age_ns"))
-    stopped = [(missed, "the loop"), (silent_ns // settings.loop.period_ns, "the simulated rig")]
-    ticks, what = max(stopped)
-    if ticks < PAUSE_TICKS:
-        return None
-    stopped_ms = ticks * settings.loop.period_ns / 1e6
-    return PausedError(f"this computer stopped {what} for {stopped_ms:.0f} ms at {stage.since_start_s(end_ns):.1f} s")
+    ages = np.concatenate([records[age][begin : end + 1] for age in ("tension_age_ns", "drive_age_ns")])
+    silent_ns = int(ages[ages < NEVER_AGE_NS].max(initial=0))  # before its first sample no device has fallen silent
+    ticks, stopped = max((missed, "the loop"), (silent_ns // settings.loop.period_ns, "the simulated rig"))
+    return Pause(stopped, ticks * settings.loop.period_ns / 1e6, end_ns) if ticks >= PAUSE_TICKS else None
 
 
 def _recording(settings: RigSettings) -> pathlib.Path | None:
