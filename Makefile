@@ -6,6 +6,8 @@
 # make coverage   branches of modes and safety table    make mutation   mutants, all or a sample    make fuzz
 # make soak   SOAK=1h of random commands, kills and a full disk   make wheel, lock   release: wheel, SBOM, hashes
 SHELL := /bin/bash
+# Debian's own Python where there is one: the packages run it, and it is built with profile-guided optimisation.
+BASE_PYTHON := $(shell PATH=/usr/bin:$$PATH command -v python3.11 || echo python3)
 VENV := .venv
 PYTHON := $(VENV)/bin/python
 STAMP := $(VENV)/.installed
@@ -86,7 +88,7 @@ system:
 	tests/guest/setup
 
 $(STAMP): pyproject.toml constraints.txt
-	test -x $(PYTHON) || python3 -m venv $(VENV) || { tests/guest/apt python3-venv && python3 -m venv $(VENV); }
+	test -x $(PYTHON) || $(BASE_PYTHON) -m venv $(VENV) || { tests/guest/apt python3-venv && $(BASE_PYTHON) -m venv $(VENV); }
 	@echo "setting up $(VENV), which takes a minute or two:"
 	tests/guest/thrice $(PIP) -c constraints.txt uv
 	$(VENV)/bin/uv pip install --python $(PYTHON) -c constraints.txt -e '.[dev]' \
