@@ -20,7 +20,7 @@ from typing import Any
 from playwright.sync_api import Browser
 
 from tests.builders.miniature import running
-from tests.builders.pages import Server, browser, look, serving
+from tests.builders.pages import Server, browser, look, new_page, serving
 
 LOADS = 5
 HOLDS = 30
@@ -32,13 +32,12 @@ def first_chart_s(chromium: Browser, server: Server) -> list[float]:
     """Seconds from navigation to the first chart, of several loads without a cache."""
     found = []
     for _ in range(LOADS):
-        context = chromium.new_context(viewport={"width": 1920, "height": 1080})
-        page = context.new_page()
+        page = new_page(chromium, viewport={"width": 1920, "height": 1080})
         page.goto(server.address, wait_until="commit")
         while (drawn := page.evaluate("window.rigctl?.firstDrawMs ?? null")) is None:
             time.sleep(0.02)
         found.append(float(drawn) / 1000)
-        context.close()
+        page.close()
     return found
 
 

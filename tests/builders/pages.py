@@ -159,16 +159,27 @@ class PageView:
 def browser() -> Iterator[Browser]:
     """Debian's Chromium, without a window."""
     with sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS))
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=list(FLAGS), timeout=_patience_ms())
         try:
             yield found
         finally:
             found.close()
 
 
+def new_page(browser: Browser, **options: Any) -> Page:
+    """A page in a context of its own, which ends with it. Its waits last as long as all others of a test."""
+    page = browser.new_page(**options)
+    page.set_default_timeout(_patience_ms())
+    return page
+
+
+def _patience_ms() -> float:
+    return 1000.0 * patience_s()
+
+
 def look(browser: Browser, address: str, width: int = 1280, height: int = 800, theme: Any = "light") -> PageView:
     """Open an address; the page's errors and every request are logged."""
-    view = PageView(browser.new_page(viewport={"width": width, "height": height}, color_scheme=theme))
+    view = PageView(new_page(browser, viewport={"width": width, "height": height}, color_scheme=theme))
 
     def said(message: ConsoleMessage) -> None:
         if message.type in ("error", "warning"):

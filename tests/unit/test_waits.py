@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import re
 from collections import Counter
 from collections.abc import Iterator
 
@@ -68,6 +69,19 @@ def found() -> dict[str, int]:
             if lines:
                 count[file.relative_to(ROOT / "tests").as_posix()] = len(lines)
     return dict(count)
+
+
+def test_every_browser_and_page_of_a_test_gets_the_patience_of_all_waits() -> None:
+    """Playwright's own limit is 30 s; `tests.builders.pages` sets another."""
+    own = re.compile(r"(?<!pages)\.(new_page|new_context|launch)\(")
+    calls = [
+        f"{file.relative_to(ROOT)}: {line.strip()}"
+        for file in (ROOT / "tests").rglob("*.py")
+        if file.name != "pages.py"
+        for line in file.read_text().splitlines()
+        if own.search(line)
+    ]
+    assert calls == []
 
 
 def test_no_wait_is_added_and_one_that_has_gone_leaves_the_list() -> None:

@@ -14,7 +14,6 @@ from rigctl.page.server import SITE
 from tests.builders import pages
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
-from tests.builders.waiting import patience_s
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +31,7 @@ def documented(daemon: Daemon) -> Iterator[pages.Server]:
 @pytest.fixture
 def reader(chromium: Browser, documented: pages.Server) -> Iterator[tuple[Page, list[str]]]:
     """A tab with the first page, and what the browser refused or asked of another host."""
-    tab = chromium.new_page()
+    tab = pages.new_page(chromium)
     complaints: list[str] = []
     own = f"http://127.0.0.1:{documented.port}/"
     tab.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
@@ -49,7 +48,7 @@ def test_a_reader_finds_a_word_by_the_search(reader: tuple[Page, list[str]]) -> 
     tab, complaints = reader
     tab.get_by_placeholder("Search").first.fill("tare")
     found = tab.locator(".md-search-result__link", has_text="Commissioning").first
-    found.wait_for(timeout=1000 * patience_s())
+    found.wait_for()
     found.click()
     tab.wait_for_url(re.compile(r"/docs/commission\.html"))
     assert complaints == []

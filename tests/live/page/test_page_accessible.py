@@ -10,7 +10,7 @@ import pytest
 from playwright.sync_api import Browser
 
 from tests.builders.operators import KIM
-from tests.builders.pages import PageView, Server, look
+from tests.builders.pages import PageView, Server, look, new_page
 from tests.builders.stand_in import TRIP_N
 
 AXE = pathlib.Path(axe_playwright_python.__file__).with_name("axe.min.js")
@@ -194,8 +194,7 @@ def test_a_scroll_back_beyond_the_window_asks_for_older_data(chromium: Browser, 
 
 
 def test_the_window_is_kept(chromium: Browser, readonly: Server) -> None:
-    context = chromium.new_context()
-    page = context.new_page()
+    page = new_page(chromium)
     seen = PageView(page)
     page.goto(readonly.address)
     seen.live()
@@ -203,7 +202,7 @@ def test_the_window_is_kept(chromium: Browser, readonly: Server) -> None:
     page.reload()
     seen.until("window.rigctl && rigctl.store.window === 2")
     assert seen.run("document.querySelector('#windows [aria-pressed=true]').textContent") == "15 min"
-    context.close()
+    page.close()
 
 
 def test_the_history_leaves_timing_out_until_it_is_asked_for(chromium: Browser, readonly: Server) -> None:

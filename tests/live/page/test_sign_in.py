@@ -21,7 +21,7 @@ from websockets.typing import Origin, Subprotocol
 
 from rigctl.page.browser_connection import CONNECTIONS
 from tests.builders.miniature import Daemon, free_port
-from tests.builders.pages import Server, look, serving
+from tests.builders.pages import Server, look, new_page, serving
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
@@ -242,16 +242,15 @@ def test_the_browser_signs_in_reads_and_signs_out(chromium: Browser, signed: Ser
 
 
 def test_the_browser_commands_over_https(chromium: Browser, secured: Server) -> None:
-    context = chromium.new_context(ignore_https_errors=True)
-    page = context.new_page()
+    page = new_page(chromium, ignore_https_errors=True)
     page.goto(secured.address)
     until(lambda: page.evaluate("window.rigctl && rigctl.draws > 1 && !rigctl.stale"), "charts")
     until(lambda: page.evaluate("!document.querySelector('#commands').hidden"), "the commands")
     assert page.evaluate("document.querySelector('#rights').textContent") == "commands as kim"
     page.click("#hold")
     until(lambda: page.evaluate("document.querySelector('#said').textContent.includes('HOLD refused: ')"), "the answer")
-    assert {cookie["secure"] for cookie in context.cookies()} == {True}
-    context.close()
+    assert {cookie["secure"] for cookie in page.context.cookies()} == {True}
+    page.close()
 
 
 def test_https_is_checked_against_its_authority(secured: Server, authority: trustme.CA) -> None:

@@ -10,16 +10,15 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from playwright.sync_api import sync_playwright
 
 from rigctl.control.modes import Mode
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.recording import read
 from rigctl.report.findings import find
 from rigctl.report.page import render
+from tests.builders.pages import browser, new_page
 from tests.builders.synthetic import OFFSET_NS, Floats, mode_events, run, stay, write
 
-CHROMIUM = "/usr/bin/chromium"
 CHARTS = 8
 HOSTILE = "<script src=http://example.org/x.js></script>"
 LEARNT = "move 1: 0.019 N rms, 0.033 N in the first; learnt from 2 moves"
@@ -109,18 +108,14 @@ def test_it_lists_the_moves_that_were_learnt_from(page: pathlib.Path) -> None:
 def test_a_browser_shows_every_chart_asks_for_nothing_and_prints_no_blank_page(page: pathlib.Path) -> None:
     asked: list[str] = []
     complaints: list[str] = []
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        try:
-            tab = browser.new_context(offline=True).new_page()
-            tab.on("request", lambda request: asked.append(request.url))
-            tab.on("console", lambda message: complaints.append(message.text))
-            tab.goto(page.as_uri())
-            shown = tab.evaluate("Array.from(document.images, image => image.complete && image.naturalWidth > 300)")
-            wide = tab.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
-            printed = tab.pdf(prefer_css_page_size=True)
-        finally:
-            browser.close()
+    with browser() as chromium:
+        tab = new_page(chromium, offline=True)
+        tab.on("request", lambda request: asked.append(request.url))
+        tab.on("console", lambda message: complaints.append(message.text))
+        tab.goto(page.as_uri())
+        shown = tab.evaluate("Array.from(document.images, image => image.complete && image.naturalWidth > 300)")
+        wide = tab.evaluate("document.documentElement.scrollWidth - document.documentElement.clientWidth")
+        printed = tab.pdf(prefer_css_page_size=True)
     assert [url for url in asked if not url.startswith("data:")] == [page.as_uri()]
     assert complaints == []
     assert shown == [True] * CHARTS
