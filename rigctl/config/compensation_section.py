@@ -29,7 +29,10 @@ class CompensationSettings(Settings):
         default="check", description="zero seen while the rope is surely slack: compared, or also put in force"
     )
     slack_zero_limit_n: float = Field(
-        default=0.3, gt=0, le=10, description="largest zero so found; beyond it nothing is corrected and nothing arms"
+        default=0.3,
+        gt=0,
+        le=10,
+        description="largest zero so found; beyond it nothing is corrected, and a slack rope arms after a tare only",
     )
 
     @model_validator(mode="after")

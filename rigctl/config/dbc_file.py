@@ -109,7 +109,7 @@ def _bounds(settings: RigSettings) -> Iterator[tuple[str, str, str, float | None
     for place, row in enumerate(settings.limits):
         if row.signal in _WATCHED and row.action != "log":
             yield *_WATCHED[row.signal], row.low, row.high, f"limits.{place}.{{}}"
-    yield "tension_cell", "tension", "N", -settings.negative_n, None, "fault CELL_NEGATIVE"
+    yield "tension_cell", "tension", "N", -settings.slack_reading_n, None, "fault CELL_NEGATIVE"
 
 
 def _canopen_ids(settings: RigSettings) -> dict[int, str]:

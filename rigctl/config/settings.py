@@ -381,8 +381,8 @@ class RigSettings(Settings):
         return self.calibration.tare_limit_n if self.calibration is not None else 0.0
 
     @property
-    def negative_n(self) -> float:
-        """A reading further below 0 than this is no rope's: beyond a slack one and the largest zero."""
+    def slack_reading_n(self) -> float:
+        """Largest reading of a slack rope: with the largest zero. One further below 0 is no rope's."""
         return self.tension.slack_n + self.tare_limit_n
 
     @property

@@ -45,8 +45,8 @@ class _Waiting(NamedTuple):
 
 RECHECK_NS = 600_000_000_000
 """A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
-_AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END
-"""Checks that bar no way out of a parked HOLD: what they guard against has not changed since the rig was armed."""
+_AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.CELL_ZERO | Check.SECOND_FORCE
+"""Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
 _SHOWS_DRIVE = frozenset({Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN})
 """Refusals whose reply has the state of the drive."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})

@@ -209,7 +209,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.CELL_INVALID, FieldValue("cell_quality"), 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, FieldValue("inclination_quality"), 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
-        Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), settings.negative_n, NEGATIVE_NS, _ARMED, "N",
+        Row(Fault.CELL_NEGATIVE, FieldValue("tension_n", -1.0), settings.slack_reading_n, NEGATIVE_NS, _ARMED, "N",
             sign=-1.0),
         Row(Fault.TENSION_LOW, FieldValue("tension_n", -1.0), -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, _lost_n, -settings.tension.slack_n, persist, _TENSIONING | _AT_REST, "N of a load",
@@ -294,8 +294,13 @@ def _zero_limit_n(settings: RigSettings) -> float:
     return settings.compensation.slack_zero_limit_n if settings.compensation is not None else math.inf
 
 
+def _may_be_slack(snapshot: Snapshot, settings: RigSettings) -> bool:
+    """Whether the rope may be slack, so that a tare is possible now; a load is released first."""
+    return not snapshot.reading_n > settings.slack_reading_n
+
+
 def _zero_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """A zero that moved is logged at once, and bars the next arming (`Check.CELL_ZERO`); the move under way goes on."""
+    """A zero that moved is logged at once, and bars arming with a slack rope (`Check.CELL_ZERO`); a move goes on."""
     if settings.compensation is None:
         return ()
     limit_n = _zero_limit_n(settings)
@@ -309,7 +314,8 @@ def _second_rows(settings: RigSettings) -> tuple[Row, ...]:
         return ()
     stale, node = section.stale_ms, section.node
     return (
-        Row(Fault.FORCES_DISAGREE, _size("force_gap_n"), section.disagree_n, DISAGREE_NS, _ARMED, "N"),
+        Row(Fault.FORCES_DISAGREE, _size("force_gap_n"), section.disagree_n, DISAGREE_NS, _ARMED, "N",
+            bars=Bars.NEVER),  # tare and calibration, its remedies, are commands of DISARMED
         Row(Fault.LIMIT, _in_ms(FieldValue("second_age_ns")), stale, 0, _ARMED, "ms", Action.LOG,
             "second_force_age_ms above"),
         Row(Fault.LIMIT, FieldValue("second_quality"), 0, 0, _ARMED, "", Action.LOG, "second_force_quality above"),
@@ -622,7 +628,7 @@ def preflight(
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
         Check.ENABLE_IGNORED: Fault.ENABLE_IGNORED in beyond,
-        Check.CELL_ZERO: abs(snapshot.zero_found_n) > _zero_limit_n(settings),
+        Check.CELL_ZERO: abs(snapshot.zero_found_n) > _zero_limit_n(settings) and _may_be_slack(snapshot, settings),
         Check.SECOND_FORCE: _second_lost(snapshot, settings),
         Check.FORCES_DISAGREE: Fault.FORCES_DISAGREE in beyond,
         Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,

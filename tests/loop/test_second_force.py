@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import pytest
 
+from hil.faults import stand
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.second_force_section import SecondForceSettings
@@ -80,6 +81,13 @@ def tared(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
         yield rig
 
 
+def silence_second(rig: Lockstep) -> None:
+    """No sample of the second cell comes any more."""
+    assert rig.rig.second_force is not None
+    gone = TPDO1_BASE + rig.rig.second_force.id
+    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == gone else (frame,)
+
+
 def compensate(rig: Lockstep) -> None:
     assert rig.command(Verb.ARM) is Refusal.NONE
     assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -139,10 +147,34 @@ def test_two_paths_that_disagree_hold_the_rig_until_they_agree(
         held = records[records["mode"] == Mode.FAULT]
         assert abs(float(held["command_mm_s"][-1])) < 0.5
         assert float(abs(records["fused_n"]).max()) <= WEIGHT * 0.5 + 1e-9
-        assert rig.command(Verb.RESET) is not Refusal.NONE
+        assert rig.command(Verb.RESET) is Refusal.NONE
+        rig.run(0.2)
+        assert rig.loop.machine.fault is Fault.FORCES_DISAGREE, "in HOLD they disagree still"
         second.fault_n = 0.0
         rig.run(4.0)
         assert rig.command(Verb.RESET) is Refusal.NONE
+        rig.run(0.2)
+        assert rig.loop.machine.fault is Fault.NONE
+
+
+def test_a_tare_makes_two_paths_agree_after_a_disarm_and_a_reset(settings: RigSettings, gains: Gains) -> None:
+    """Its remedy is a command of DISARMED, so that the fault must not keep the rig from there."""
+    with tared(fitted(settings, "cell"), gains) as rig:
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.rig.second_force is not None
+        rig.rig.second_force.fault_n = 1.0
+        rig.run(2.0)
+        assert rig.loop.machine.fault is Fault.FORCES_DISAGREE
+        assert rig.command(Verb.TARE) is Refusal.WRONG_MODE
+        assert rig.command(Verb.DISARM) is Refusal.NONE
+        assert rig.command(Verb.RESET) is Refusal.NONE
+        rig.run(1.0)
+        assert rig.loop.machine.mode is Mode.DISARMED
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.FORCES_DISAGREE
+        tare(rig)
+        rig.run(3.0)
+        assert rig.command(Verb.ARM) is Refusal.NONE
 
 
 @pytest.mark.study
@@ -154,8 +186,7 @@ def test_a_second_path_that_is_lost_is_logged_and_the_cell_leads_alone(settings:
         compensate(rig)
         before = rig.run(3.0)
         assert float(before["fused_n"][-1]) == pytest.approx(0.1 * WEIGHT, abs=0.02)
-        gone = TPDO1_BASE + second.id
-        rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == gone else (frame,)
+        silence_second(rig)
         after = rig.run(8.0)
         assert rig.loop.machine.mode is Mode.COMPENSATING
         assert float(after["fused_n"][-1]) == pytest.approx(0.0, abs=1e-3)
@@ -164,6 +195,25 @@ def test_a_second_path_that_is_lost_is_logged_and_the_cell_leads_alone(settings:
         logged = rig.runtime.events.reader(from_start=True).read()
         texts = [bytes(event["text"]) for event in logged if event["kind"] == Kind.LIMIT]
         assert any(b"second_force_age_ms" in text for text in texts)
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
+def test_a_load_on_the_brake_can_be_lowered_without_the_second_path(
+    settings: RigSettings, gains: Gains, mode: Mode
+) -> None:
+    """The lost path bars arming alone, as `second_force_silent` of the catalogue shows."""
+    made = changed(fitted(settings, "cell"), hold={"park_s": 0.5}, second_force={"zero_n": 0.0})
+    with lockstep(made, gains) as rig:
+        stand.start(rig, mode, None)
+        stand.enter(rig, mode)
+        stand.park(rig)
+        silence_second(rig)
+        rig.run(1.0)
+        assert (rig.loop.machine.mode, rig.loop.observer.braked) == (mode, True)
+        before_mm = rig.rig.truth.stroke_mm
+        assert rig.command(Verb.RELEASE if mode is Mode.HOLD else Verb.LOWER) is Refusal.NONE
+        rig.run(1.0)
+        assert abs(rig.rig.truth.stroke_mm - before_mm) > 1.0, "the motor has taken the load and lowers it"
 
 
 def test_a_rig_without_the_section_has_none_of_it(settings: RigSettings, gains: Gains) -> None:

@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from hil.faults import stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
@@ -102,6 +103,34 @@ def test_a_zero_beyond_its_limit_is_not_corrected_is_logged_and_bars_the_next_ar
         assert rig.command(Verb.TARE) is Refusal.NONE
         assert rig.command(Setting.ZERO, float(rig.reply["reading_n"])) is Refusal.NONE
         assert rig.command(Verb.ARM) is Refusal.NONE
+
+
+def test_a_load_with_such_a_zero_is_released_from_the_brake_and_from_disarmed_before_the_tare(
+    settings: RigSettings, gains: Gains
+) -> None:
+    """A loaded rope cannot be tared: whatever barred its release would leave no way to a tare."""
+    with lockstep(fitted(settings, bias_n=0.6, hold={"park_s": 0.5}), gains) as rig:
+        rig.run(0.2)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run(1.5)
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(2.5)
+        assert rig.command(Verb.HOLD) is Refusal.NONE
+        stand.park(rig)
+        assert rig.loop.observer.snapshot.reading_n > rig.settings.slack_reading_n
+        assert rig.command(Verb.TARE) is Refusal.LOADED
+        assert rig.command(Verb.RELEASE) is Refusal.NONE
+        for verb in (Verb.HOLD, Verb.DISARM):
+            assert rig.command(verb) is Refusal.NONE
+            rig.run(2.0)
+        assert rig.loop.observer.snapshot.reading_n > rig.settings.slack_reading_n
+        for verb in (Verb.ARM, Verb.RELEASE):
+            assert rig.command(verb) is Refusal.NONE
+        rig.run_until(Mode.HOLD, 15.0)
+        assert rig.command(Verb.DISARM) is Refusal.NONE
+        rig.run(3.0)
+        assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert rig.reply["checks"] == Check.CELL_ZERO
 
 
 def test_a_tare_takes_the_place_of_what_was_found(settings: RigSettings, gains: Gains) -> None:
