@@ -15,7 +15,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, PowerOff, Refusal
+from rigctl.control.modes import Mode, PowerOff, Refusal, Verb
 from rigctl.ipc.record import Flag
 
 STANDS_MM = 0.1
@@ -121,6 +121,8 @@ def judge(
     findings += _uncounted(fault, run, undisturbed)
     findings += _unseen(run, undisturbed, expected, settings.plant.stiffness_n_mm)
     findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
+    if run.command is Verb.RELEASE and run.refusal is Refusal.PREFLIGHT:
+        findings.append("a check bars the release of the load")
     late_s = fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9
     findings += _shown_off(run, late_s, off_before=fault.around.parked)
     return FaultResult(
@@ -243,7 +245,7 @@ def _reaction(fault: InjectedFault, run: Run, undisturbed: Run, mode: Mode, at: 
         return Reaction.HELD if run.enabled[-1] else Reaction.DRIVE_OFF
     if fault.ends_elsewhere:
         return Reaction.RIDDEN
-    if run.refusal is not None:
+    if run.command is Verb.ARM:
         return Reaction.ARMED if run.refusal is Refusal.NONE else Reaction.REFUSED
     if np.any(run.records["mode"] == Mode.FAULT):
         return Reaction.LEFT

@@ -81,7 +81,8 @@ class Run:
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
     trips: tuple[TripEvent, ...]
-    refusal: Refusal | None  # of the arm command at the end, where one was given
+    command: Verb | None  # given at the end
+    refusal: Refusal | None  # of that command
     events: npt.NDArray[Any]  # of the loop, from the fault's beginning on
     lead: npt.NDArray[Any]  # records of the seconds before it
     dead_from: int | None  # sample from which on the loop was dead: killed at the end where the motor was on; else None
@@ -130,27 +131,27 @@ class Bench:
 
     def play(self, fault: InjectedFault, mode: Mode) -> Run:
         """Play a row."""
-        arms = fault.expected[mode] is Reaction.REFUSED
-        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, arms=arms)
+        command = _last_command(fault, mode)
+        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, command=command)
 
     def play_cut(self, fault: InjectedFault, mode: Mode) -> Run:
         """Play a row, and cut the motor's power at the first tick that shows the fault."""
-        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, arms=False, cuts=True)
+        return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, cuts=True)
 
     def _seconds(self, fault: InjectedFault) -> float:
         return fault.seconds + min(fault.after_s, self._most_after_s)
 
     def _play_undisturbed(self, around: Around, mode: Mode, seconds: float, from_start: bool) -> Run:
-        return self._play(around, mode, seconds, from_start, None, arms=False)
+        return self._play(around, mode, seconds, from_start, None)
 
     def _play(
-        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *, arms: bool,
-        cuts: bool = False,
+        self, around: Around, mode: Mode, seconds: float, from_start: bool, fault: InjectedFault | None, *,
+        command: Verb | None = None, cuts: bool = False,
     ) -> Run:  # fmt: skip
         prepared = self._prepare(start_of(around, mode, from_start))
         seed = f"{SEED}:{fault.id if fault else ''}:{mode.name}"
         return prepared.branch_point.branch(
-            lambda: _branch(prepared, around, seconds, from_start, fault, seed, arms=arms, cuts=cuts)
+            lambda: _branch(prepared, around, seconds, from_start, fault, seed, command=command, cuts=cuts)
         )
 
     def _prepare(self, start: Start) -> _Prepared:
@@ -193,7 +194,7 @@ def _branch(
     fault: InjectedFault | None,
     seed: str,
     *,
-    arms: bool,
+    command: Verb | None,
     cuts: bool,
 ) -> Run:
     rig, before, lead = prepared.rig, prepared.before, prepared.lead
@@ -218,18 +219,26 @@ def _branch(
     rig.on_advance = None
     events = rig.events.read()
     trips = _trips(events, origin_ns)
-    refusal = rig.command(Verb.ARM) if arms else None
+    refusal = None if command is None else rig.command(command)
     control = rig.rig.drive.control
-    dead_from = len(watcher.rows) if (control.enabled or control.stage.powered) and not arms else None
+    dead_from = len(watcher.rows) if (control.enabled or control.stage.powered) and command is None else None
     if dead_from is not None:
         rig.on_advance = watcher
         kill(rig)
     t_s, tension_n, stroke_mm, enabled, powered = map(np.array, zip(*watcher.rows, strict=True))
     records_t_s = (records["t_ns"] - origin_ns) * 1e-9
     return Run(
-        t_s, tension_n, stroke_mm, enabled, powered, records_t_s, records, before, trips, refusal, events, lead,
-        dead_from,
+        t_s, tension_n, stroke_mm, enabled, powered, records_t_s, records, before, trips, command, refusal, events,
+        lead, dead_from,
     )  # fmt: skip
+
+
+def _last_command(fault: InjectedFault, mode: Mode) -> Verb | None:
+    """The command that a row ends with: ARM where it is to be refused, RELEASE where a parked rig goes on as it was."""
+    expected = fault.expected[mode]
+    if expected is Reaction.REFUSED:
+        return Verb.ARM
+    return Verb.RELEASE if fault.around.parked and mode is Mode.HOLD and expected is Reaction.RIDDEN else None
 
 
 def kill(rig: Lockstep) -> None:

@@ -140,6 +140,7 @@ PLAYED = [
     ("torque_lost_free", Mode.COMPENSATING),
     ("cell_silent_parked", Mode.HOLD),
     ("drive_silent_parked", Mode.FAULT),
+    ("second_force_silent_parked", Mode.HOLD),
     ("creep_down_450_parked", Mode.HOLD),
     ("brake_stuck_open_parked", Mode.HOLD),
     ("brake_closes_late", Mode.FAULT),
