@@ -13,6 +13,7 @@ import pathlib
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Generator
 
 import pytest
@@ -110,16 +111,19 @@ def _leave_rows_to_the_studies(items: list[pytest.Item]) -> None:
 def in_process(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Command:
     """``in_process("rigctl" | "hil", *words)``: the command without a process of its own, which proves as much.
 
-    It is run in the project's folder, for a reader without a terminal, 80 columns wide.
+    It is run in the project's folder, for a reader without a terminal, 80 columns wide, and without the lines of
+    progress, which come by this computer's clock.
     """
 
     def run(program: str, *words: object) -> subprocess.CompletedProcess[str]:
         from hil.__main__ import main as hil
+        from rigctl.cli import progress
         from rigctl.cli.app import main as rigctl
 
         arguments = [str(word) for word in words]
         monkeypatch.chdir(HERE.parent)
         monkeypatch.setenv("COLUMNS", "80")
+        monkeypatch.setattr(progress, "LINE_EVERY_S", threading.TIMEOUT_MAX)
         monkeypatch.setattr(sys, "argv", [program, *arguments])
         capsys.readouterr()
         if program == "hil":

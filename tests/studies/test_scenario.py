@@ -41,11 +41,6 @@ Write = Callable[..., pathlib.Path]
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
-def process(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hil", "scenario", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=patience_s(), cwd=ROOT, check=False)
-
-
 @pytest.fixture
 def scenario(in_process: Command) -> Command:
     return lambda *arguments: in_process("hil", "scenario", *arguments)
@@ -64,8 +59,8 @@ def write(tmp_path: pathlib.Path) -> Write:
     return file
 
 
-def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path) -> None:
-    done = process(SCENARIOS / "paper_k6.yaml", "--json", tmp_path / "k6.json", "--plot", tmp_path / "k6.svg")
+def test_the_papers_passive_case_has_the_papers_figures(tmp_path: pathlib.Path, scenario: Command) -> None:
+    done = scenario(SCENARIOS / "paper_k6.yaml", "--json", tmp_path / "k6.json", "--plot", tmp_path / "k6.svg")
     assert (done.returncode, done.stderr) == (0, "")
     said = json.loads((tmp_path / "k6.json").read_text())
     run, plateau = said["truth"]["run"], said["truth"]["plateau"]
