@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 
 from rigctl.devices import objects as od
+from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders import daemons
 from tests.builders.host_pause import PAUSE_MS, late_wake_ups
@@ -192,24 +194,38 @@ def test_what_runs_beside_the_loop_keeps_off_its_processor(tmp_path: pathlib.Pat
             assert os.sched_getaffinity(pid) == cpus, module
 
 
+@contextlib.contextmanager
+def kept(records: RingReader) -> Iterator[list[np.ndarray[Any, Any]]]:
+    """The slots written meanwhile, read before the ring overwrites them, however long anything else takes."""
+    parts, ended = [records.read()], threading.Event()
+
+    def keep() -> None:
+        while not ended.wait(0.5):
+            parts.append(records.read())
+
+    keeper = threading.Thread(target=keep)
+    keeper.start()
+    try:
+        yield parts
+    finally:
+        ended.set()
+        keeper.join()
+        parts.append(records.read())
+
+
 def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(running: Running) -> None:
     running.do("arm")
     running.do("target", "100")
     running.do("tension", "--wait")
     records = Runtime.of(daemons.name_of(running.file)).records.reader()
-    parts: list[np.ndarray[Any, Any]] = []
-
-    def compensates() -> bool:
-        parts.append(records.read())  # before the ring overwrites them
-        return daemons.mode(running.file) == "COMPENSATING"
-
-    for _ in range(2):
-        os.kill(
-            daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{daemons.name_of(running.file)}"),
-            signal.SIGKILL,
-        )
-        until(compensates, log=running.log)
-    slots = np.concatenate([*parts, records.read()])
+    with kept(records) as parts:
+        for _ in range(2):
+            os.kill(
+                daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{daemons.name_of(running.file)}"),
+                signal.SIGKILL,
+            )
+            until(lambda: daemons.mode(running.file) == "COMPENSATING", log=running.log)
+    slots = np.concatenate(parts)
     assert records.lost == 0
     assert len(slots) > 1000
     assert set(slots["mode"]) == {3}

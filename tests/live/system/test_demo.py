@@ -102,6 +102,7 @@ def test_in_real_time_every_part_runs_in_its_own_process(tmp_path: pathlib.Path)
     assert replayed(figures["recording"]) == (len(kept.records), True)
 
 
+@pytest.mark.alone
 def test_beside_a_daemon_of_the_same_rig_the_demo_commands_its_own(tmp_path: pathlib.Path) -> None:
     patient = {**PATIENT, "demo": {**SHORT, "angle_deg": 0.5}}
     file, log = daemons.rig_file(tmp_path, patient), tmp_path / "daemon.log"
