@@ -75,7 +75,8 @@ def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach],
         if not numbers:
             numbers = {n for tests in reach.lines.get(file, {}).values() for n in tests}
         found |= {(reach.seconds[n], reach.tests[n]) for n in numbers}
-    if pattern is None and len(place.function) > SHORT:
+    tells = len(place.function) > SHORT and not place.function.startswith("__")
+    if pattern is None and tells:
         pattern = re.compile(rf"\b{place.function}\b")
     saying = set()
     if pattern is not None:  # also tests of what was executed when their module was imported

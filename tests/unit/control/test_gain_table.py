@@ -52,6 +52,13 @@ def test_entries_at_one_tension_are_told_apart_by_stroke() -> None:
     assert [taken.number for taken in looked(table, 300.0, 75.0, 1500)] == [1]
 
 
+def test_tension_and_stroke_count_by_the_spans_of_the_entries() -> None:
+    table = table_of(scheduled(TableEntry(300.0, HARD, stroke_mm=20.0), TableEntry(200.0, SOFT, stroke_mm=80.0)))
+    assert looked(table, 290.0, 60.0, 1500) == []  # 0.1 + 0.67 of the spans from the one, 0.9 + 0.33 from the other
+    (taken,) = looked(table, 270.0, 78.0, 1500)  # 0.3 + 0.97, 0.7 + 0.03
+    assert taken.number == 1
+
+
 def test_gains_without_a_choice_have_no_table() -> None:
     assert GainTable.of(SETTINGS, HARD) is None
     assert GainTable.of(SETTINGS, scheduled(TableEntry(300.0, HARD))) is None

@@ -34,8 +34,15 @@ class Moves:
         self.learning = MoveLearning(self.settings, self.law)
         self.mode = Mode.COMPENSATING
 
-    def tick(self, error_n: float = 0.0, stroke_mm: float = 0.0, angle_rad: float = 0.0, ticks: int = 1) -> float:
-        return self.learning.step(self.mode, ticks, TARGET_N + error_n, stroke_mm, angle_rad, 0.0)
+    def tick(
+        self,
+        error_n: float = 0.0,
+        stroke_mm: float = 0.0,
+        angle_rad: float = 0.0,
+        ticks: int = 1,
+        normal_rad: float = 0.0,
+    ) -> float:
+        return self.learning.step(self.mode, ticks, TARGET_N + error_n, stroke_mm, angle_rad, normal_rad)
 
     def move(self, error: Wave, seconds: float = 10.0, stroke: Wave = lambda _t: 0.0, number: int = 1) -> Floats:
         """One move, its end marked, and the time that the lesson takes."""
@@ -111,6 +118,24 @@ def test_another_stroke_drops_the_table_and_what_was_played_fades() -> None:
     (why,) = moves.said()
     assert why.startswith("another move from 4.")
     assert not moves.move(sine(0.2, 1.0)).any(), "it begins anew"
+
+
+@pytest.mark.parametrize(("tangential_rad", "normal_rad"), [(0.02, 0.0), (0.0, 0.02)])
+@pytest.mark.parametrize("again", [1.0, 0.0])
+def test_a_slope_that_comes_again_is_the_same_move_and_another_is_not(
+    tangential_rad: float, normal_rad: float, again: float
+) -> None:
+    moves = Moves()
+    for share in (1.0, again):
+        moves.said()
+        moves.learning.begin(1, 0.0, 0.0, 0.0)
+        for tick in range(8000):
+            part = share * min(1.0, tick / 4000)
+            moves.tick(0.02, angle_rad=part * tangential_rad, normal_rad=part * normal_rad)
+        moves.learning.begin(0, 0.0, 0.0, 0.0)
+        for _ in range(3000):
+            moves.tick()
+    assert any(why.startswith("another move") for why in moves.said()) is (again == 0.0)
 
 
 def test_another_start_drops_the_table_before_it_is_played() -> None:
