@@ -250,17 +250,18 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
     (by_tension,), (by_speed,), _ = model.b.tolist()
     sent = [0.0] * model.delay_ticks
     tension_n = speed_mm_s = 0.0
+    reading_n, read_mm_s = noise_n, 0.0
     found = []
     for tick in range(round(IMPULSE_S * settings.loop.rate_hz)):
-        reading_n = tension_n + (0.0 if tick else noise_n)
-        kalman.update(start_n + reading_n, speed_mm_s)
+        kalman.update(start_n + reading_n, read_mm_s)
         kalman.predict()
         law.added_mm_s = 0.0 if tick else probe_mm_s
         command_mm_s = law.compensating(Estimate(*kalman.ahead(), stroke_mm), 1.0)
         kalman.command(command_mm_s - law.added_mm_s)
-        found.append((reading_n, speed_mm_s, command_mm_s, tension_n))
+        found.append((reading_n, read_mm_s, command_mm_s, tension_n))
         sent.append(command_mm_s)
         acting = sent.pop(0)
+        reading_n, read_mm_s = tension_n, speed_mm_s  # latched at this tick's SYNC, read in the next
         tension_n += to_tension * speed_mm_s + by_tension * acting
         speed_mm_s = keep * speed_mm_s + by_speed * acting
     return np.array(found)
