@@ -91,7 +91,10 @@ def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach],
 
 
 def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> list[str]:
-    """First files that name the module or what it gives, then unit tests; one test of each in turn, shortest first."""
+    """First files that name the module or what it gives, then unit tests; one test of each in turn, shortest first.
+
+    The module's own file of tests is run whole: what kills a mutant is often its longest test.
+    """
     queues: dict[str, list[tuple[float, str]]] = defaultdict(list)
     for item in sorted(found):
         queues[item[1].partition("::")[0]].append(item)
@@ -105,7 +108,8 @@ def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> lis
     spent, first = 0.0, True
     while any(queues.values()) and spent < BUDGET_S:
         for name in order:
-            taken = queues[name][: FIRST if first else 1]
+            whole = pathlib.Path(name).name == f"test_{own}.py"
+            taken = queues[name][: None if whole else FIRST if first else 1]
             del queues[name][: len(taken)]
             chosen += [test for _, test in taken]
             spent += sum(seconds for seconds, _ in taken)

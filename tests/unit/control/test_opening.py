@@ -81,6 +81,18 @@ def test_a_jolt_opens_the_filter_within_a_tick() -> None:
     assert kalman.level == 1.0
 
 
+def test_a_slope_without_a_surprise_opens_it_by_its_mean() -> None:
+    kalman = settled(SETTINGS)
+    slope_n = SETTINGS.plant.stiffness_n_mm * 1.0 * kalman.model.period_s  # N in a tick, at 1 mm/s
+    highest = 0.0
+    for tick in range(1, 51):
+        kalman.update(300.0 + slope_n * tick, 0.0)
+        kalman.predict()
+        assert not kalman.cell.surprised
+        highest = max(highest, kalman.level)
+    assert highest == 1.0
+
+
 def test_an_absent_sample_opens_it_and_it_becomes_quiet_again() -> None:
     kalman = settled(SETTINGS)
     kalman.update(None, 0.0)

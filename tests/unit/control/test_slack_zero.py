@@ -10,7 +10,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.modes import Mode
-from rigctl.control.slack_zero import PROOF_AGE_S, PROOF_MM, SlackWatch, SlackZero
+from rigctl.control.slack_zero import LONGEST_REST_S, PROOF_AGE_S, PROOF_MM, SlackWatch, SlackZero
 from tests.builders.paths import ROOT
 
 RIG = config.load(ROOT / "config/paper_rig.yaml")
@@ -113,3 +113,10 @@ def test_what_comes_between_ends_the_stretch(what: str) -> None:
     rope.go(0.05)
     rope.mode, rope.inbox.cell_quality, rope.zero_n = Mode.HOLD, 0, 0.1
     assert rope.go(0.1, 8.0) == []
+
+
+def test_a_long_rest_counts_by_its_last_whole_stretch() -> None:
+    rope = Rope()
+    rope.go(LONGEST_REST_S + 0.5)
+    (found,) = rope.go(0.1, 8.0)
+    assert found.samples == round(LONGEST_REST_S * RIG.loop.rate_hz)
