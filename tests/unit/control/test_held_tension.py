@@ -16,8 +16,10 @@ from rigctl.control.held_tension import (
     GROWS_MM,
     GROWS_NS,
     LASTS_S,
+    SINKS_MM_S,
     SINKS_NS,
     STRETCH_NS,
+    UNLOADED_MM_S,
     HeldTension,
     cell_n,
     fall_limit_n,
@@ -148,6 +150,16 @@ def test_a_load_that_sinks_is_seen_within_the_promise(speed: float, spring: floa
     held = Held(settings, motor=False).run(5.0, lambda _t: 300.0)
     allowed_mm = max(1.0, 0.03 * 300.0 / k, 2.2 * speed)  # what goes on does so for 2 s
     assert held.run(allowed_mm / speed, lambda t: 300.0 - k * speed * t).trips
+
+
+@pytest.mark.parametrize(
+    ("speed", "sinks"),
+    [(0.9 * SINKS_MM_S, False), (1.1 * SINKS_MM_S, True), (0.9 * UNLOADED_MM_S, True), (1.1 * UNLOADED_MM_S, False)],
+)
+def test_between_two_speeds_a_fall_is_that_of_a_load_that_sinks(speed: float, sinks: bool) -> None:
+    held = Held(motor=False).run(5.0, lambda _t: 300.0)
+    held.run(2.0, lambda t: 300.0 - K * speed * t)
+    assert (held.subject.sinks_n > 0.0) == sinks
 
 
 def test_what_slips_in_jerks_is_seen_too() -> None:
