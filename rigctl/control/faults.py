@@ -316,9 +316,11 @@ class Fault(IntEnum):
     FORCES_DISAGREE = (
         46,
         "the two force paths disagree by {value:.2f} N (limit {limit:.2f} N): cell, second cell, spring or encoder",
-        "Find the wrong force path with a known weight, and correct it at its amplifier.",
-        Trait.BLOCKS_RESET,
-    )
+        (
+            "Support the payload until the rope is slack; rigctl disarm, then rigctl reset; find the wrong force path "
+            "with a known weight, and correct it at its amplifier."
+        ),
+    )  # no bar of a reset: tare and calibration, its remedies, are commands of DISARMED
 
     # On the closed brake the tension falls
     LOAD_SINKS = (

@@ -314,8 +314,7 @@ def _second_rows(settings: RigSettings) -> tuple[Row, ...]:
         return ()
     stale, node = section.stale_ms, section.node
     return (
-        Row(Fault.FORCES_DISAGREE, _size("force_gap_n"), section.disagree_n, DISAGREE_NS, _ARMED, "N",
-            bars=Bars.NEVER),  # tare and calibration, its remedies, are commands of DISARMED
+        Row(Fault.FORCES_DISAGREE, _size("force_gap_n"), section.disagree_n, DISAGREE_NS, _ARMED, "N"),
         Row(Fault.LIMIT, _in_ms(FieldValue("second_age_ns")), stale, 0, _ARMED, "ms", Action.LOG,
             "second_force_age_ms above"),
         Row(Fault.LIMIT, FieldValue("second_quality"), 0, 0, _ARMED, "", Action.LOG, "second_force_quality above"),
