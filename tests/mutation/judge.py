@@ -7,15 +7,15 @@ import importlib
 import json
 import os
 import pathlib
+import pickle
 import re
 import signal
 import sys
 import time
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from itertools import islice
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -169,7 +169,7 @@ class Judge:
         preload(folder)
         for name in _LIBRARIES_OF:
             importlib.import_module(name)
-        self._gains = _gains(folder)
+        self._design = _designed(folder)
         own = ("rigctl", "hil", "tests")
         self._keep = frozenset(
             name for name in sys.modules if name.split(".")[0] not in own or name.startswith(_KEPT) or name in own
@@ -219,7 +219,7 @@ class Judge:
         if file is not None:
             put_in(self._folder, file, source)
         if any(test.startswith("tests/loop") for test in tests):
-            _know_gains(self._folder, self._gains)
+            _know_design(self._folder, self._design)
         first = _FirstFailure()
         code = run_tests(self._folder, tests, first) if tests else 0
         if code == pytest.ExitCode.USAGE_ERROR and not first.by:  # the mutant has changed the name of a test's case
@@ -232,25 +232,24 @@ class Judge:
         return 0
 
 
-def _gains(folder: pathlib.Path) -> tuple[float, ...]:
-    """The gains of the paper's rig, whose design takes longer than most tests in lockstep."""
+def _designed(folder: pathlib.Path) -> bytes:
+    """The design of the paper's rig, pickled: it takes longer than most tests in lockstep."""
     from rigctl.config.rig_file import load
     from rigctl.design.margins import design_and_check
 
-    return astuple(design_and_check(load(folder / PAPER)).gains)
+    return pickle.dumps(design_and_check(load(folder / PAPER)))
 
 
-def _know_gains(folder: pathlib.Path, gains: tuple[float, ...]) -> None:
-    """Have the design of the paper's rig known."""
+def _know_design(folder: pathlib.Path, pickled: bytes) -> None:
+    """Have the design of the paper's rig known, of the classes that this process has loaded."""
     from rigctl.config.rig_file import load
-    from rigctl.control.tension import Gains
     from rigctl.design import margins
 
     paper, design = load(folder / PAPER), margins.design_and_check
 
     def known(settings: Any, *rest: Any, **words: Any) -> Any:
         if settings == paper and not rest and not words:
-            return SimpleNamespace(gains=Gains(*gains))
+            return pickle.loads(pickled)
         return design(settings, *rest, **words)
 
     margins.design_and_check = known

@@ -9,7 +9,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.stretch_lead import StretchLead
+from rigctl.control.stretch_lead import MOST_AHEAD_S, StretchLead
 from tests.builders.paths import ROOT
 
 SETTINGS = changed(config.load(ROOT / "config/paper_rig.yaml"), {"estimator.inclination_swing_hz": 0.58})
@@ -77,3 +77,15 @@ def test_without_samples_it_knows_nothing_and_starts_again_at_rest() -> None:
     assert subject.speeds_mm_s() == (0.0, 0.0)
     subject.update(shown(0.0), 0.0)
     assert subject.speeds_mm_s() == pytest.approx((0.0, 0.0), abs=1e-9)
+
+
+@pytest.mark.parametrize(("beyond", "known"), [(0, True), (1, False)])
+def test_a_gap_up_to_the_longest_is_bridged_and_a_longer_one_is_a_new_start(beyond: int, known: bool) -> None:
+    subject, gap = StretchLead(SETTINGS), round(MOST_AHEAD_S / DT) + beyond
+    for n in range(0, 3000, 10):
+        subject.update(shown(n * DT), 0.0)
+        subject.pass_ticks(10)
+    subject.pass_ticks(gap - 10)  # since the last sample
+    assert (subject.speeds_mm_s() != (0.0, 0.0)) == known
+    subject.update(shown((2990 + gap) * DT), 0.0)
+    assert (abs(subject.speeds_mm_s()[0]) > 1e-3) == known
