@@ -48,7 +48,7 @@ test-machine: $(STAMP) system
 lint: $(STAMP)
 	$(VENV)/bin/ruff check .
 	$(VENV)/bin/ruff format --check .
-	$(VENV)/bin/mypy
+	$(PYTHON) -m tests.static_types
 
 bench: $(STAMP) system
 	mkdir -p results
