@@ -6,6 +6,7 @@ silently. Here each of these is refused with the line it stands on, so that a ri
 
 from __future__ import annotations
 
+import functools
 import pathlib
 import re
 from dataclasses import dataclass
@@ -108,7 +109,7 @@ def load(text: str) -> Document:
         StrictYamlError: it has the line and the expected form.
     """
     try:
-        root = yaml.compose(text, Loader=yaml.SafeLoader)
+        root = _composed(text)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         raise StrictYamlError(mark.line + 1 if mark else 1, f"not YAML: {error.problem}") from None
@@ -126,6 +127,12 @@ def load(text: str) -> Document:
     if isinstance(data, Unreadable):
         raise StrictYamlError(lines[()], f"file: found {on_one_line(data.text)}, expected {data.allowed}")
     return Document(data, lines)
+
+
+@functools.lru_cache(maxsize=4)
+def _composed(text: str) -> yaml.Node | None:
+    """The document's nodes, which are only read; a command may read its rig file several times, 20 ms each."""
+    return yaml.compose(text, Loader=yaml.SafeLoader)
 
 
 def _value(node: yaml.Node, path: Path, lines: dict[Path, int]) -> Any:

@@ -53,7 +53,7 @@ def free_port() -> int:
 
 def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = None, *, rig: str = "") -> pathlib.Path:
     """The paper's rig with its own bus socket, name and port, and ``changes`` by section."""
-    data = yaml.safe_load(PAPER.read_text())
+    data = yaml.load(PAPER.read_text(), Loader=yaml.CSafeLoader)
     data["rig"] = rig or f"test_{os.getpid()}_{abs(hash(str(folder))) % 10**8}"
     data["can"]["channel"] = str(folder / "bus.sock")
     data["telemetry"]["listen"] = f"tcp/127.0.0.1:{free_port()}"
@@ -67,7 +67,7 @@ def rig_file(folder: pathlib.Path, changes: dict[str, dict[str, Any]] | None = N
         if dbc := data[device].get("dbc"):
             data[device]["dbc"] = {**dbc, "file": str(PAPER.parent / dbc["file"])}
     file = folder / "rig.yaml"
-    file.write_text(yaml.safe_dump(data))
+    file.write_text(yaml.dump(data, Dumper=yaml.CSafeDumper))
     return file
 
 
