@@ -17,6 +17,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.devices import busload
 from tests.builders.paths import ROOT
+from tests.conftest import Command
 
 CONFIG = ROOT / "config"
 RIG = (CONFIG / "plain_rig.yaml").read_text()
@@ -329,16 +330,12 @@ def test_what_load_adds_may_not_stand_in_the_file(write: Write, key: str) -> Non
     assert refusal(write(RIG + f"{key}: x\n", DBC)).endswith(f"{key}: found an unknown key")
 
 
-def test_check_shows_the_refusal_and_the_layout(write: Write) -> None:
-    def check(file: pathlib.Path) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "rigctl", "check", str(file)]
-        return subprocess.run(command, capture_output=True, text=True, check=False)
-
-    good = check(write(RIG, DBC))
+def test_check_shows_the_refusal_and_the_layout(write: Write, in_process: Command) -> None:
+    good = in_process("rigctl", "check", write(RIG, DBC))
     assert good.returncode == 0
     assert "tension_cell: Tension, id 0x110, 5 bytes" in good.stdout
     file = write(RIG, DBC.replace('"N"', '"lbf"'))
-    bad = check(file)
+    bad = in_process("rigctl", "check", file)
     assert bad.returncode == 2
     assert len(bad.stderr.splitlines()) == 1
     assert f"{file}:{line_of('tension_cell', 'tension')}: {CELL}.tension: found unit lbf, expected unit N" in bad.stderr

@@ -10,6 +10,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from tests.builders.daemons import rig_file, rigctl
+from tests.conftest import Command
 
 LOCAL = "expected a loopback address, tls/ with telemetry.tls, or telemetry.listen_waiver: why not, in words"
 TLS = {"listen": "tls/0.0.0.0:7447", "tls": {"keys": "keys"}}
@@ -69,23 +70,24 @@ def test_anything_else_is_refused_in_one_line(tmp_path: pathlib.Path, telemetry:
     assert len(refused.value.findings) == 1
 
 
-def test_check_and_run_refuse_an_open_address_and_say_what_is_waived(tmp_path: pathlib.Path) -> None:
+def test_check_and_run_refuse_an_open_address_and_say_what_is_waived(
+    tmp_path: pathlib.Path, in_process: Command
+) -> None:
     reached = rig_file(tmp_path, {"telemetry": {"listen": "tcp/0.0.0.0:7447"}})
-    for command in ("check", "run"):
-        done = rigctl(command, str(reached))
+    for done in (in_process("rigctl", "check", reached), rigctl("run", str(reached))):
         assert done.returncode == 2 and LOCAL in done.stderr and done.stderr.count("\n") == 1
     waived = rig_file(tmp_path, {"telemetry": {"listen": "tcp/0.0.0.0:7447"} | WAIVER})
     words = "other computers reach tcp/0.0.0.0:7447, to read and to give HOLD, without certificates"
-    assert words in " ".join(rigctl("check", str(waived)).stdout.split())
-    assert words in json.loads(rigctl("check", str(waived), "--json").stdout)["waived_listen"]
+    assert words in " ".join(in_process("rigctl", "check", waived).stdout.split())
+    assert words in json.loads(in_process("rigctl", "check", waived, "--json").stdout)["waived_listen"]
 
 
-def test_run_refuses_a_key_folder_that_is_missing_or_open(tmp_path: pathlib.Path) -> None:
+def test_run_refuses_a_key_folder_that_is_missing_or_open(tmp_path: pathlib.Path, in_process: Command) -> None:
     """Before anything is started."""
     file = rig_file(tmp_path, {"telemetry": {"listen": "tls/127.0.0.1:7447", "tls": {"keys": "keys"}}})
     missing = rigctl("run", str(file))
     assert missing.returncode == 2 and "make it with rigctl keys init" in missing.stderr
-    assert rigctl("keys", "init", "--dir", str(tmp_path / "keys")).returncode == 0
+    assert in_process("rigctl", "keys", "init", "--dir", tmp_path / "keys").returncode == 0
     (tmp_path / "keys").chmod(0o755)
     opened = rigctl("run", str(file))
     assert opened.returncode == 2 and "found mode 0755, expected 0700" in opened.stderr
