@@ -108,6 +108,8 @@ def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> lis
     spent, first = 0.0, True
     while any(queues.values()) and spent < BUDGET_S:
         for name in order:
+            if spent >= BUDGET_S:  # what takes thrice as long counts as a mutant that never ends
+                break
             whole = pathlib.Path(name).name == f"test_{own}.py"
             taken = queues[name][: None if whole else FIRST if first else 1]
             del queues[name][: len(taken)]
