@@ -101,7 +101,7 @@ def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> lis
     own = pathlib.Path(file).stem
 
     def rank(name: str) -> tuple[bool, bool, bool, float]:
-        return name not in saying, own not in name, "tests/unit" not in name, queues[name][0][0]
+        return name not in saying, "tests/unit" not in name, own not in name, queues[name][0][0]
 
     order = sorted(queues, key=rank)
     chosen: list[str] = []
