@@ -16,7 +16,7 @@ from dataclasses import replace
 
 from tests.builders.paths import ROOT
 from tests.mutation import live, page, sample
-from tests.mutation.judge import Judge, Verdict, read, write
+from tests.mutation.judge import BUDGET_S, Judge, Verdict, read, write
 from tests.mutation.mutants import Change, Workshop
 from tests.mutation.reach import Reach
 from tests.mutation.run import SAME, SURVIVED, Runner, copy_tree
@@ -44,6 +44,7 @@ def main() -> int:
     parser.add_argument("--again", action="store_true", help="of the sample, only what has survived the last time")
     parser.add_argument("--no-live", action="store_true", help="leave out the real-time tests, so what only these meet")
     parser.add_argument("--size", type=int, default=sample.SIZE, metavar="N", help="the first N of the sample")
+    parser.add_argument("--seconds", type=float, default=BUDGET_S, metavar="S", help="of tests a mutant of the sample")
     parser.add_argument("--package", choices=sample.PACKAGES, help="of the sample, only what lies in this package")
     given = parser.parse_args()
     chosen = set(given.parts or words)
@@ -97,7 +98,7 @@ def _sample(folder: pathlib.Path, given: argparse.Namespace, known: list[Verdict
     reaches = _maps(folder, given.parallel)
     sources = sample.sources_of(folder, set(TESTS))
     workshop = sample.workshop(folder, sources)
-    judge = Judge(folder, workshop, reaches)
+    judge = Judge(folder, workshop, reaches, given.seconds)
     drawn = {
         place.number: (place, text)
         for place, text in sample.first(workshop, given.size)
@@ -110,8 +111,8 @@ def _sample(folder: pathlib.Path, given: argparse.Namespace, known: list[Verdict
     def note(found: Verdict) -> None:
         verdicts.append(found)
         write(VERDICTS, verdicts)
-        if not found.killed:
-            print(f"{found.file}:{found.line}: {found.before}  ->  {found.after}", flush=True)
+        if not found.killed or "::" not in found.by:  # what no test has failed is looked at
+            print(f"{found.file}:{found.line}: {found.before}  ->  {found.after}  {found.by}", flush=True)
 
     left = [mutant for number, mutant in drawn.items() if number not in done]
     for verdict in judge.verdicts(left, given.parallel):

@@ -27,8 +27,8 @@ from tests.mutation.sample import Place
 
 SHORT = 5  # names of functions up to this length are anywhere
 FIRST = 3  # tests of each file to begin with
+WHOLE_S = 4.0  # a file of tests that names the changed thing and takes no longer is run whole
 BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
-HANGS_S = 20 * BUDGET_S  # a mutant that waits for ever takes no time of the processor
 PAPER = "config/paper_rig.yaml"
 _LIBRARIES_OF = (
     "hil.lockstep",
@@ -60,8 +60,10 @@ class Verdict:
     tests: int
 
 
-def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach], folder: pathlib.Path) -> list[str]:
-    """Node ids of the tests that execute the mutant's line, in the order in which they are worth running."""
+def tests_of(
+    place: Place, sources: Mapping[str, str], reaches: Sequence[Reach], folder: pathlib.Path, budget_s: float
+) -> list[str]:
+    """Node ids of the tests that execute the mutant's line, as many as take ``budget_s``, the likeliest first."""
     file, names = place.mutant.file, _names_given(place.line, sources[place.mutant.file])
     if names:  # outside functions: the tests that execute a line with a name that the statement gives
         pattern = re.compile(rf"\b({'|'.join(sorted(names))})\b")
@@ -75,8 +77,7 @@ def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach],
         if not numbers:
             numbers = {n for tests in reach.lines.get(file, {}).values() for n in tests}
         found |= {(reach.seconds[n], reach.tests[n]) for n in numbers}
-    tells = len(place.function) > SHORT and not place.function.startswith("__")
-    if pattern is None and tells:
+    if pattern is None and len(place.function) > SHORT and not place.function.startswith("__"):
         pattern = re.compile(rf"\b{place.function}\b")
     saying = set()
     if pattern is not None:  # also tests of what was executed when their module was imported
@@ -87,13 +88,14 @@ def tests_of(place: Place, sources: Mapping[str, str], reaches: Sequence[Reach],
             found |= {
                 item for item in pairs if item[1].startswith("tests/unit") and item[1].partition("::")[0] in saying
             }
-    return _in_order(file, found, saying)
+    return _in_order(file, found, saying, budget_s)
 
 
-def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> list[str]:
+def _in_order(file: str, found: set[tuple[float, str]], saying: set[str], budget_s: float) -> list[str]:
     """First files that name the module or what it gives, then unit tests; one test of each in turn, shortest first.
 
-    The module's own file of tests is run whole: what kills a mutant is often its longest test.
+    The module's own file of tests is run whole, and so is a short one that names what the statement gives: what kills a
+    mutant is often a file's longest test, or any of fifty.
     """
     queues: dict[str, list[tuple[float, str]]] = defaultdict(list)
     for item in sorted(found):
@@ -103,15 +105,18 @@ def _in_order(file: str, found: set[tuple[float, str]], saying: set[str]) -> lis
     def rank(name: str) -> tuple[bool, bool, bool, float]:
         return name not in saying, "tests/unit" not in name, own not in name, queues[name][0][0]
 
+    def whole(name: str) -> bool:
+        short = name in saying and sum(seconds for seconds, _ in queues[name]) <= WHOLE_S
+        return short or pathlib.Path(name).name == f"test_{own}.py"
+
     order = sorted(queues, key=rank)
     chosen: list[str] = []
     spent, first = 0.0, True
-    while any(queues.values()) and spent < BUDGET_S:
+    while any(queues.values()) and spent < budget_s:
         for name in order:
-            if spent >= BUDGET_S:  # what takes thrice as long counts as a mutant that never ends
+            if spent >= budget_s:  # what takes thrice as long counts as a mutant that never ends
                 break
-            whole = pathlib.Path(name).name == f"test_{own}.py"
-            taken = queues[name][: None if whole else FIRST if first else 1]
+            taken = queues[name][: None if whole(name) else FIRST if first else 1]
             del queues[name][: len(taken)]
             chosen += [test for _, test in taken]
             spent += sum(seconds for seconds, _ in taken)
@@ -164,10 +169,13 @@ class _FirstFailure:
 
 
 class Judge:
-    """Runs mutants on a copy of the tree in ``folder``, several at once."""
+    """Runs mutants on a copy of the tree in ``folder``, several at once; ``budget_s``: tests that each meets."""
 
-    def __init__(self, folder: pathlib.Path, workshop: Workshop, reaches: Sequence[Reach]) -> None:
+    def __init__(
+        self, folder: pathlib.Path, workshop: Workshop, reaches: Sequence[Reach], budget_s: float = BUDGET_S
+    ) -> None:
         self._folder, self._workshop, self._reaches = folder, workshop, reaches
+        self._budget_s = budget_s
         preload(folder)
         for name in _LIBRARIES_OF:
             importlib.import_module(name)
@@ -184,7 +192,7 @@ class Judge:
         while True:
             for place, source in islice(left, at_once - len(running)):
                 result = self._folder / f"verdict-{place.number[:16]}.json"
-                running[self._start(place, source, result)] = place, result, time.monotonic() + HANGS_S
+                running[self._start(place, source, result)] = place, result, time.monotonic() + 20.0 * self._budget_s
             if not running:
                 return
             time.sleep(0.02)
@@ -192,7 +200,7 @@ class Judge:
                 if os.waitpid(pid, os.WNOHANG)[0]:
                     del running[pid]
                     yield self._verdict(place, result)
-                elif time.monotonic() > until:
+                elif time.monotonic() > until:  # it waits for ever, which takes no time of the processor
                     os.kill(pid, signal.SIGKILL)
 
     def fails_unchanged(self, tests: Sequence[str]) -> str:
@@ -203,8 +211,8 @@ class Judge:
         return str(json.loads(result.read_text())["by"])
 
     def _start(self, place: Place, source: str, result: pathlib.Path) -> int:
-        tests = tests_of(place, self._workshop.sources, self._reaches, self._folder)
-        return fork(lambda: self._run(place.mutant.file, source, tests, result, round(3 * BUDGET_S)))
+        tests = tests_of(place, self._workshop.sources, self._reaches, self._folder, self._budget_s)
+        return fork(lambda: self._run(place.mutant.file, source, tests, result, round(3.0 * self._budget_s)))
 
     def _verdict(self, place: Place, result: pathlib.Path) -> Verdict:
         found: dict[str, Any] = {"by": "(died or took too long)", "tests": 0}

@@ -27,10 +27,10 @@ The sample is the same every time: 300 places of `control` (but for these three 
 lines and renamed modules leave it as it is. A number becomes another that would be wrong (one more or less where it is
 small, else ten times as much or a third), and no comparison becomes one by identity. The tests of `tests/unit` and
 `tests/loop` are run once to find out which executes which line; a mutant then meets those that execute its own, or for
-a constant the lines that use it, 40 s of tests at most, the likeliest first. A mutant that only real processes execute
-meets the tests of `tests/live` of its package, last and alone; with `--no-live` it counts as a survivor.
-`results/mutation/sample.json` says which test killed which mutant; `python -m tests.mutation sample --again` runs only
-those that survived, `--package rigctl/control` those of one package.
+a constant the lines that use it, 40 s of tests at most (`--seconds`), the likeliest first. A mutant that only real
+processes execute meets the tests of `tests/live` of its package, last and alone; with `--no-live` it counts as a
+survivor. `results/mutation/sample.json` says which test killed which mutant; `python -m tests.mutation sample --again`
+runs only those that survived, `--package rigctl/control` those of one package.
 
 To refresh: `python -m tests.mutation --write` writes this page anew and keeps the arguments of survivors that are
 still there; write one for each that says "not argued", or better a test that kills it.
