@@ -12,7 +12,7 @@ from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
-from rigctl.control.inbox import Inbox
+from rigctl.control.inbox import NEVER_NS, Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.load_at_rest import REST_NS, LoadRest
 from rigctl.control.loop_probe import NoProbe
@@ -99,7 +99,7 @@ class Observer:
         # Plain frames come at the device's own time: a SYNC says nothing about them.
         by_sync = settings.tension_cell.dbc is None
         self._sync_timing = SyncTiming(1.0 / settings.loop.rate_hz) if by_sync else None
-        self._grid_ns = self._last_grid_ns = 0
+        self._grid_ns = self._last_grid_ns = NEVER_NS
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._status_stale_ns = status_stale_ns(settings)

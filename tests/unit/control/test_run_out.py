@@ -4,25 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from types import SimpleNamespace
-from typing import cast
 
-import can
 import pytest
 
 from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
-from rigctl.control.held_tension import HeldTension
-from rigctl.control.homed import Homed, LastStroke
-from rigctl.control.inbox import Inbox
-from rigctl.control.loop_probe import NoProbe
-from rigctl.control.machine import Machine
-from rigctl.control.observer import Observer
-from rigctl.control.outbox import Outbox
-from rigctl.control.readback import Readback
 from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
-from rigctl.control.signs import SignCheck
-from rigctl.control.stroke_hold import StrokeHold
-from rigctl.control.tension import Gains, TensionLaw
+from tests.builders import observers
 from tests.builders.rig_bench import SETTINGS
 
 SECTION = RunOutSettings(angle_min_deg=0.0, angle_max_deg=20.0, bins=40, learning_rate=0.5)
@@ -207,13 +194,7 @@ def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
     section = RunOutSettings(angle_min_deg=0.0, angle_max_deg=6.0, bins=60, learning_rate=0.5)
     encoder = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
     settings = SETTINGS.model_copy(update={"rail_encoder": encoder, "run_out": section})
-    inbox = Inbox(cast("can.BusABC", None), settings)
-    observer = Observer(
-        settings, inbox, cast("Outbox", SimpleNamespace(synced_ns=0, controlword=0)), Machine(),
-        TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
-        Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),
-        HeldTension(settings), SignCheck(settings), NoProbe(settings),
-    )  # fmt: skip
+    observer, inbox, _ = observers.alone(settings)
     inbox.stroke_mm, inbox.rail_quality = 50.0, 0
     angle, k = math.radians(0.2), settings.plant.stiffness_n_mm
     found: list[tuple[float, float]] = []

@@ -11,6 +11,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.sync_timing import SyncTiming
+from tests.builders import observers
 from tests.builders.paths import ROOT
 
 SETTINGS = changed(config.load(ROOT / "config/paper_rig.yaml"), {"plant.spring_n_mm": 34.0})
@@ -50,3 +51,26 @@ def test_a_filter_that_is_told_the_jitter_is_not_disturbed_by_it(told: bool) -> 
     assert (np.std(errors) < 1e-3) == told
     if not told:
         assert np.std(errors) > 0.02
+
+
+@pytest.mark.parametrize(("late_ms", "known"), [(0.5, True), (3.0, False)])
+def test_a_sync_later_than_a_period_changes_no_estimate(late_ms: float, known: bool) -> None:
+    """The rope is stretched at 6 mm/s. What was latched 3 ms late might be of any tick; its time is not made up."""
+    usual, late = stretched_with_a_last_sync_at(0.1), stretched_with_a_last_sync_at(0.1 + late_ms)
+    assert (late != usual) is known
+
+
+def stretched_with_a_last_sync_at(last_ms: float) -> float:
+    """The estimate of the disturbance speed; each SYNC was sent 0.1 ms after its grid point, the last one here."""
+    observer, inbox, sent = observers.alone(SETTINGS)
+    inbox.stroke_mm = 50.0
+    for tick in range(200):
+        now_ns = (1000 + tick) * MS
+        inbox.tension_n = 300.0 + K * 6e-3 * tick
+        inbox.cell_fresh = inbox.drive_fresh = True
+        observer.look(now_ns, 0)
+        observer.look_at_control(now_ns, 0, 50.0)
+        estimate = observer.estimate(0, regulated=True)
+        observer.filter.command(0.0)
+        sent.synced_ns = now_ns + round((last_ms if tick == 198 else 0.1) * MS)
+    return estimate.disturbance_mm_s

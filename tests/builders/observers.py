@@ -1,0 +1,32 @@
+"""An observer whose inbox and outbox the test fills: no bus, no machine that decides, no probe."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import can
+
+from rigctl.config.settings import RigSettings
+from rigctl.control.held_tension import HeldTension
+from rigctl.control.homed import Homed, LastStroke
+from rigctl.control.inbox import Inbox
+from rigctl.control.loop_probe import NoProbe
+from rigctl.control.machine import Machine
+from rigctl.control.observer import Observer
+from rigctl.control.outbox import Outbox
+from rigctl.control.readback import Readback
+from rigctl.control.signs import SignCheck
+from rigctl.control.stroke_hold import StrokeHold
+from rigctl.control.tension import Gains, TensionLaw
+
+
+def alone(settings: RigSettings) -> tuple[Observer, Inbox, SimpleNamespace]:
+    """The observer with its inbox, and the two figures that it reads of the outbox."""
+    inbox, sent = Inbox(cast("can.BusABC", None), settings), SimpleNamespace(synced_ns=0, controlword=0)
+    observer = Observer(
+        settings, inbox, cast("Outbox", sent), Machine(), TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
+        Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),
+        HeldTension(settings), SignCheck(settings), NoProbe(settings),
+    )  # fmt: skip
+    return observer, inbox, sent
