@@ -199,6 +199,7 @@ def test_a_load_that_sinks_already_bars_arming_and_the_motor_may_carry_it(loaded
     assert loaded.loop.machine.fault is Fault.STROKE_MOVES
     assert loaded.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert loaded.command(Verb.CARRY, 10.0) is Refusal.NONE
+    assert 9.0 < float(loaded.reply["carried_s"]) <= 10.0, "less the time in which the motor took the load"
     before = loaded.rig.truth.stroke_mm
     loaded.run(0.5)
     assert loaded.rig.truth.stroke_mm == pytest.approx(before, abs=0.01)

@@ -6,12 +6,14 @@ import contextlib
 import os
 import pathlib
 import pwd
+import resource
 import socket
 import struct
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import pytest
 
@@ -307,3 +309,14 @@ def test_without_access_lists_the_users_share_a_socket(runtime: Runtime, monkeyp
     HoldSockets(runtime).close()
     names = {path.name for path in runtime.directory.glob("hold.*")}
     assert names == {socket_name(OWN), socket_name(None)}
+
+
+def test_a_directory_of_very_many_users_gives_sockets_to_persons_first_and_leaves_descriptors(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A computer in a domain knows thousands; the loop's files, its bus and its rings need descriptors too."""
+    everyone = [SimpleNamespace(pw_uid=uid) for uid in (*range(1, 900), *range(5000, 9000), 0)]
+    monkeypatch.setattr(pwd, "getpwall", lambda: everyone)
+    for descriptors, served in ((1_000_000, 250), (400, 100)):
+        monkeypatch.setattr(resource, "getrlimit", lambda _, most=descriptors: (most, most))
+        assert hold_sockets._users() == [0, *range(5000, 5000 + served - 1)]

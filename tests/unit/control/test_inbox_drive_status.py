@@ -9,6 +9,7 @@ import can
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
 from rigctl.devices import objects as od
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 from tests.unit.hil.test_parameter_sets import with_set
@@ -50,6 +51,13 @@ def test_the_emergency_stop_is_the_newest_of_message_and_input() -> None:
     assert bench.inbox.e_stop  # the input decides
     bench.give(STATUS, status())
     assert not bench.inbox.e_stop
+
+
+def test_without_an_emergency_stop_input_none_of_the_drives_inputs_is_one() -> None:
+    bench = Bench(changed(RIG, {"cylinder.e_stop_input": None}))
+    for inputs in (0, 1, CLOSED, 0xFFFF_FFFF):
+        bench.give(STATUS, status(inputs=inputs))
+        assert not bench.inbox.e_stop
 
 
 def test_the_same_message_of_another_device_is_no_emergency_stop() -> None:

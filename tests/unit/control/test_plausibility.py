@@ -250,6 +250,14 @@ def test_a_speed_that_grows_beyond_its_command_is_one_within_three_samples(way: 
     assert [one.runaway_mm_s > 2.5 for one in seen[:4]] == [False, False, True, True]
 
 
+def test_a_command_of_a_second_ago_excuses_no_speed() -> None:
+    stand = Stand()
+    stroke, speed, command = as_commanded(level=40.0)
+    stand.run(0.5, lambda _: 300.0, stroke, speed, command)
+    stand.run(1.0, lambda _: 300.0)
+    assert runaway_mm_s(stand.run(0.006, lambda _: 300.0, speed=lambda t: 4800.0 * t)) > 20.0
+
+
 def test_only_while_the_motor_takes_a_load_from_the_brake_may_the_load_turn_it_back() -> None:
     stand = Stand()
     assert runaway_mm_s(stand.run(0.05, lambda _: 300.0, speed=turned_back)) < 2.5

@@ -25,9 +25,9 @@ def planned() -> ProbePlan:
 class Signals:
     """Tension, stroke and command of each tick; a cell, an encoder or a drive may have stopped."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, quantum_mm: float = QUANTUM_MM) -> None:
         self.plan, self.random = planned(), np.random.default_rng(seed)
-        self.probe = SensorProbe(PAPER, self.plan, QUANTUM_MM)
+        self.probe = SensorProbe(PAPER, self.plan, quantum_mm)
         ticks, shape = self.plan.shape.ticks, np.array(self.plan.shape.stroke_mm)
         turns = np.exp(2j * np.pi * np.outer(np.arange(ticks), self.plan.lines) / ticks)
         self.tension_n = (turns @ np.array(self.plan.answers)).real
@@ -44,13 +44,17 @@ class Signals:
         scale_n = PAPER.tension_cell.noise_n * (self.plan.spread / self.plan.silent if cell else 1.0)  # the loop's part
         noise_n = self.random.normal(0.0, scale_n, round(seconds * RATE))
         for tick, noise in enumerate(noise_n):
-            place = self.tick % len(self.speeds)
-            tension_n = cell * self.tension_n[place] + noise
-            self.probe.see(place, tension_n, encoder * self.stroke_mm[place], self.speeds[place - 1])
-            self.tick += 1
+            self.see(noise, cell=cell, encoder=encoder)
             if self.probe.found > ProbeFinding.WHOLE:
                 return (tick + 1) / RATE
         return math.inf
+
+    def see(self, noise_n: float = 0.0, *, cell: bool = True, encoder: bool = True) -> bool:
+        """One tick; whether a window has ended in it."""
+        place = self.tick % len(self.speeds)
+        tension_n = cell * self.tension_n[place] + noise_n
+        self.tick += 1
+        return self.probe.see(place, tension_n, encoder * self.stroke_mm[place], self.speeds[place - 1])
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -80,3 +84,19 @@ def test_a_probe_that_was_off_is_judged_anew() -> None:
     assert signals.probe.found is ProbeFinding.NONE
     assert signals.play(signals.plan.detection_s - 3.0) == math.inf
     assert signals.probe.found is ProbeFinding.NONE
+
+
+@pytest.mark.parametrize(("quanta", "named"), [(4.0, ProbeFinding.ENCODER_STUCK), (2.0, ProbeFinding.WHOLE)])
+def test_an_encoder_is_judged_where_the_probe_moves_it_by_several_counts(quanta: float, named: ProbeFinding) -> None:
+    moved_mm = float(np.ptp(Signals(1).stroke_mm))
+    signals = Signals(1, moved_mm / quanta)
+    signals.play(2.0 * signals.plan.detection_s, encoder=False)
+    assert signals.probe.found is named
+
+
+def test_the_first_judgement_comes_with_the_window_that_completes_its_number() -> None:
+    signals = Signals(1)
+    plan, windows = signals.plan, 0
+    while signals.probe.found is ProbeFinding.NONE:
+        windows += signals.see()
+    assert windows == plan.windows(plan.spread)

@@ -117,7 +117,10 @@ def test_a_position_that_contradicts_its_speed_or_is_old_is_not_followed() -> No
     rig = Rig(offset=0.3)
     rig.run(1.0)
     assert rig.command < 0.0
-    rig.snapshot.drive_age_ns = 100 * MS
+    rig.snapshot.drive_age_ns = SETTINGS.safety.stale_ms * MS
+    rig.run(0.01)
+    assert rig.command < 0.0, "not yet old"
+    rig.snapshot.drive_age_ns += 1
     rig.run(0.01)
     assert rig.command == 0.0
     rig.snapshot.drive_age_ns = MS
