@@ -70,7 +70,7 @@ def test_a_slip_is_reported_with_its_speed_and_the_time_until_the_rope_is_slack(
     assert record["slack_s"] == pytest.approx(left_s, rel=0.05)
 
 
-@pytest.mark.parametrize("speed_mm_s", [0.03, pytest.param(0.1, marks=pytest.mark.long), 0.19])
+@pytest.mark.parametrize("speed_mm_s", [0.03, *(pytest.param(mm_s, marks=pytest.mark.long) for mm_s in (0.1, 0.19))])
 def test_a_slip_too_slow_for_the_reported_speed_is_found_too(
     settings: RigSettings, gains: Gains, speed_mm_s: float
 ) -> None:

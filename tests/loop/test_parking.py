@@ -112,7 +112,7 @@ def test_the_rig_file_says_how_long_the_motor_holds(settings: RigSettings, gains
 def test_a_creep_that_no_encoder_sees_ends_on_the_brake(held: Lockstep, creep: float) -> None:
     """300 N fell to 61 N, or rose to 406 N, in 100 s of a HOLD under power."""
     put_in(held, both(creeps(creep), both(stuck(STROKE), reads(SPEED, times=0.0))))
-    assert stays(held, 20.0)
+    assert stays(held, 8.0)
 
 
 @pytest.mark.parametrize("drift", [0.3, pytest.param(-0.3, marks=pytest.mark.long)])
@@ -315,6 +315,7 @@ def test_a_trial_beyond_its_time_is_ended_and_the_load_parked(parked: Lockstep) 
     assert parked.rig.drive.control.stage.braked
 
 
+@pytest.mark.gate("8-1.9", "9-0.0", "9-3.0")
 @pytest.mark.parametrize("held_s", [0.0, 1.9, 3.0])
 @pytest.mark.parametrize("verb", [Verb.TARE, Verb.CALIBRATE])
 def test_a_measurement_at_rest_waits_for_the_brake_to_have_the_load(rig: Lockstep, verb: Verb, held_s: float) -> None:

@@ -97,6 +97,7 @@ def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep
     assert "emergency stop" in line
 
 
+@pytest.mark.gate("True-3")
 @pytest.mark.parametrize("rig", [Mode.COMPENSATING], indirect=["rig"])
 @pytest.mark.parametrize("silent", [False, True])
 def test_a_load_at_rest_is_no_power_off_while_the_motor_may_carry_it(rig: Lockstep, silent: bool) -> None:

@@ -184,15 +184,15 @@ def test_what_cannot_be_is_one_line(pytester: pytest.Pytester) -> None:
         import pytest
 
         @pytest.mark.hil(timeout_s=3)
-        @pytest.mark.parametrize(("body", "says"), {REFUSED!r})
-        def test_it(hil_rig, body, says):
-            with pytest.raises((ValueError, AssertionError)) as refused:
-                eval(body)
-            assert says in str(refused.value)
-            assert "\\n" not in str(refused.value)
+        def test_it(hil_rig):
+            for body, says in {REFUSED!r}:
+                with pytest.raises((ValueError, AssertionError)) as refused:
+                    eval(body)
+                assert says in str(refused.value)
+                assert "\\n" not in str(refused.value)
         """
     )
-    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=len(REFUSED))
+    pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider").assert_outcomes(passed=1)
 
 
 WRONG_MARKERS = {

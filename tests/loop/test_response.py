@@ -122,7 +122,7 @@ def test_a_hold_ends_it_at_once_and_an_ended_one_gives_no_figures(mode: Mode) ->
     gains = design(settings)
     with tensioned(settings, gains, mode) as run:
         given = run.give(Verb.RESPONSE, math.nan)
-        records = run.run(20.0)
+        records = run.run(6.0)
         assert records["excitation_mm_s"].any()
         assert run.hold() is Refusal.NONE
         after = run.run(1.0)

@@ -196,6 +196,7 @@ def test_on_target_too_each_wrong_way_round_is_caught_before_the_loop_is_closed_
     assert Fault.SIGN_CELL in fault or found.off_mm < 0.5
 
 
+@pytest.mark.gate("0.344", "1.5")
 @pytest.mark.starts_in(Mode.HOLD)
 @pytest.mark.parametrize("share", [0.25, 0.344, 1.5])  # 0.344: lengths 2.9 times too long
 def test_a_stiffness_that_the_assumed_family_has_not_ends_the_tensioning(rig: Lockstep, share: float) -> None:

@@ -12,7 +12,7 @@ from rigctl.config import rig_file as config
 from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
 from tests.builders.paths import ROOT
 
-SEEDS = 60
+SEEDS = 40
 TICKS = 1500
 SETTLE = 500  # ticks until the gain has settled and the first covariance has no effect
 MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))
