@@ -27,7 +27,7 @@ from tests.mutation.sample import Place
 
 SHORT = 5  # names of functions up to this length are anywhere
 FIRST = 3  # tests of each file to begin with
-WHOLE_S = 4.0  # a file of tests that names the changed thing and takes no longer is run whole
+WHOLE_S, NAMING_WHOLE_S = 1.0, 4.0  # a file that takes no longer is run whole; one that names the changed thing
 BUDGET_S = 40.0  # of tests a mutant, by their measured time: a survivor may have outlived these only
 PAPER = "config/paper_rig.yaml"
 _LIBRARIES_OF = (
@@ -94,8 +94,8 @@ def tests_of(
 def _in_order(file: str, found: set[tuple[float, str]], saying: set[str], budget_s: float) -> list[str]:
     """First files that name the module or what it gives, then unit tests; one test of each in turn, shortest first.
 
-    The module's own file of tests is run whole, and so is a short one that names what the statement gives: what kills a
-    mutant is often a file's longest test, or any of fifty.
+    The own file of tests is run whole, and so is a short one: what kills a mutant is often a file's longest test, or
+    any of fifty.
     """
     queues: dict[str, list[tuple[float, str]]] = defaultdict(list)
     for item in sorted(found):
@@ -106,8 +106,9 @@ def _in_order(file: str, found: set[tuple[float, str]], saying: set[str], budget
         return name not in saying, "tests/unit" not in name, own not in name, queues[name][0][0]
 
     def whole(name: str) -> bool:
-        short = name in saying and sum(seconds for seconds, _ in queues[name]) <= WHOLE_S
-        return short or pathlib.Path(name).name == f"test_{own}.py"
+        takes_s = sum(seconds for seconds, _ in queues[name])
+        names = name in saying or own in name
+        return pathlib.Path(name).name == f"test_{own}.py" or takes_s <= (NAMING_WHOLE_S if names else WHOLE_S)
 
     order = sorted(queues, key=rank)
     chosen: list[str] = []
