@@ -247,12 +247,27 @@ def _faults(
         pathlib.Path | None,
         typer.Option(metavar="FOLDER", help="name each row's culprit; windows of played rows are kept here"),
     ] = None,
+    hash_: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            "--hash", help="digests of what a set of runs does, into this file; goes on with one of a stopped run"
+        ),
+    ] = None,
+    against: Annotated[
+        pathlib.Path | None, typer.Option(help="of another commit: what differs from its --hash")
+    ] = None,
 ) -> None:
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
     from hil.cli import draw as draws
     from hil.cli import faults as command
 
     file = file or rig_file.shipped(PAPER)
+    if against is not None and hash_ is None:
+        raise ScenarioError(["--against: found no --hash, expected it with the file that gets the digests"])
+    if hash_ is not None:
+        from hil.cli.faults_hash import run
+
+        raise typer.Exit(run(file, hash_, against))
     if replay is not None:
         raise typer.Exit(draws.replay(file, replay, json))
     if diagnosis is not None and draw:

@@ -86,6 +86,8 @@ class Run:
     events: npt.NDArray[Any]  # of the loop, from the fault's beginning on
     lead: npt.NDArray[Any]  # records of the seconds before it
     dead_from: int | None  # sample from which on the loop was dead: killed at the end where the motor was on; else None
+    replies: npt.NDArray[Any]  # of the loop, from the fault's beginning on
+    frames: list[tuple[int, bytes]]  # on the wire with their time, where the bench keeps them
 
 
 class _Watcher:
@@ -117,9 +119,11 @@ class _Prepared:
 class Bench:
     """Plays rows on a rig and keeps the runs without a fault."""
 
-    def __init__(self, settings: RigSettings, gains: Gains, *, most_after_s: float = math.inf) -> None:
+    def __init__(
+        self, settings: RigSettings, gains: Gains, *, most_after_s: float = math.inf, keeps_frames: bool = False
+    ) -> None:
         """``most_after_s``: longest time that a row is watched after its own seconds."""
-        self.settings = settings
+        self.settings, self._keeps_frames = settings, keeps_frames
         self._gains, self._most_after_s = gains, most_after_s
         self._undisturbed = functools.lru_cache(maxsize=None)(self._play_undisturbed)
         self._prepared: OrderedDict[Start, tuple[_Prepared, contextlib.ExitStack]] = OrderedDict()
@@ -162,7 +166,9 @@ class Bench:
         if len(self._prepared) >= _KEPT:
             self._prepared.popitem(last=False)[1][1].close()
         with contextlib.ExitStack() as opened:
-            rig = opened.enter_context(lockstep(changed(self.settings, dict(start.change)), self._gains))
+            rig = opened.enter_context(
+                lockstep(changed(self.settings, dict(start.change)), self._gains, log=self._keeps_frames)
+            )
             stand.start(rig, start.mode, 0.0 if start.from_start else start.preload_n)
             if not start.from_start:
                 stand.enter(rig, start.mode)
@@ -198,6 +204,8 @@ def _branch(
     cuts: bool,
 ) -> Run:
     rig, before, lead = prepared.rig, prepared.before, prepared.lead
+    rig.frames.clear()
+    replies = rig.runtime.replies.reader()
     subject = Stand(rig, seed)
     step: Step | None = None
     if from_start:
@@ -229,7 +237,7 @@ def _branch(
     records_t_s = (records["t_ns"] - origin_ns) * 1e-9
     return Run(
         t_s, tension_n, stroke_mm, enabled, powered, records_t_s, records, before, trips, command, refusal, events,
-        lead, dead_from,
+        lead, dead_from, replies.read(), rig.frames,
     )  # fmt: skip
 
 

@@ -133,3 +133,18 @@ def _beside(source: ScenarioFile, path: Path, name: str) -> pathlib.Path:
     if not name.isprintable():
         raise source.refusal(path, repr(name), "the name of a file")
     return source.file.parent / name
+
+
+def with_set(rig_file: pathlib.Path, set_file: pathlib.Path) -> RigSettings:
+    """A rig file with a parameter set laid over it, key by key.
+
+    Raises:
+        ConfigError: the rig file is not valid.
+        ScenarioError: the set is not, or they do not fit together.
+    """
+    base, document = config.load(rig_file), read_yaml(set_file)
+    data = _merged(read_yaml(rig_file).data, document.data)
+    try:
+        return RigSettings.model_validate({**as_study(data), "directory": base.directory, "plain": base.plain})
+    except ValidationError as error:
+        raise ScenarioError(Wording(RigSettings, _ADDED, document, set_file).lines(error)) from None

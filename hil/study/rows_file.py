@@ -26,14 +26,7 @@ class RowsFile:
         if not file.exists() or not file.stat().st_size:
             output_file.write(file, json.dumps({"study": study}) + "\n")
             return
-        try:
-            first, *rows = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
-            found = first["study"]
-            self._rows = {row["key"]: row["value"] for row in rows}
-        except (OSError, ValueError, KeyError, TypeError):
-            raise ScenarioError(
-                [f"{file}: found no rows of a study, expected a new file or one of this study"]
-            ) from None
+        found, self._rows = read(file)
         if found != json.loads(json.dumps(study)):
             different = next((name for name in study if found.get(name) != study[name]), "study")
             raise ScenarioError([f"{file}: its rows are of another study ({different} differs), expected a new file"])
@@ -49,3 +42,16 @@ class RowsFile:
             with self._file.open("a", encoding="utf-8") as lines:
                 lines.write(json.dumps({"key": key, "value": value}, allow_nan=False) + "\n")
         return value
+
+
+def read(file: pathlib.Path) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What the rows of a file are of, and the rows by key.
+
+    Raises:
+        ScenarioError: it cannot be read, or holds something else.
+    """
+    try:
+        first, *rows = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
+        return dict(first["study"]), {row["key"]: row["value"] for row in rows}
+    except (OSError, ValueError, KeyError, TypeError):
+        raise ScenarioError([f"{file}: found no rows of a study, expected a new file or one of this study"]) from None

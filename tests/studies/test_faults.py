@@ -12,6 +12,7 @@ from hil.faults import fault_tables as output
 from hil.faults import lockstep_rows as study
 from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE, PARKED, ROWS
+from hil.faults.digests.played_rows import GATE
 from hil.faults.expected import ARMED, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
 from hil.faults.lockstep_run import Bench, by_start
@@ -96,62 +97,8 @@ def test_the_page_has_every_fault_as_the_table_has_it() -> None:
 
 
 # -- rows, played ---------------------------------------------------------------------------------------------------
-PLAYED = [
-    ("cell_silent", Mode.COMPENSATING),
-    ("take_back_200_creeps", Mode.HOLD),
-    ("cell_nan", Mode.RELEASING),
-    ("cell_overload", Mode.DISARMED),
-    ("slope_invalid", Mode.HOLD),
-    ("frames_lost_1pct", Mode.COMPENSATING),
-    ("burst_50ms", Mode.TENSIONING),
-    ("length_wrong_1pct", Mode.HOLD),
-    ("foreign_ids", Mode.COMPENSATING),
-    ("bus_off", Mode.COMPENSATING),
-    ("io_e_stop", Mode.COMPENSATING),
-    ("io_silent", Mode.RELEASING),
-    ("io_reboots", Mode.TENSIONING),
-    ("foreign_abort_option", Mode.COMPENSATING),
-    ("lost_heartbeat_watch", Mode.TENSIONING),
-    ("sdo_silent", Mode.DISARMED),
-    ("encoder_restarts", Mode.COMPENSATING),
-    ("drive_trips", Mode.COMPENSATING),
-    ("rope_breaks", Mode.COMPENSATING),
-    ("payload_bumped", Mode.COMPENSATING),
-    ("power_dip", Mode.HOLD),
-    ("controller_hangs", Mode.COMPENSATING),
-    ("sync_lost", Mode.COMPENSATING),
-    ("rpdo_frozen", Mode.HOLD),
-    ("sync_unheard_while_opening", Mode.DISARMED),
-    ("drive_frozen_while_enabling", Mode.DISARMED),
-    ("sync_twice", Mode.COMPENSATING),
-    ("foreign_sync_id", Mode.TENSIONING),
-    ("lost_polarity", Mode.COMPENSATING),
-    ("rpdo_ignored", Mode.RELEASING),
-    ("rpdo_late", Mode.TENSIONING),
-    ("controlword_slow_stop", Mode.TENSIONING),
-    ("switched_on_persists", Mode.HOLD),
-    ("enabling_refused", Mode.HOLD),
-    ("drive_boots", Mode.COMPENSATING),
-    ("drive_refuses_start_while_opening", Mode.DISARMED),
-    ("drive_back_in_error", Mode.TENSIONING),
-    ("torque_late", Mode.HOLD),
-    ("torque_lost", Mode.FAULT),
-    ("drive_runs_blind", Mode.FAULT),
-    ("torque_lost_free", Mode.COMPENSATING),
-    ("cell_silent_parked", Mode.HOLD),
-    ("drive_silent_parked", Mode.FAULT),
-    ("second_force_silent_parked", Mode.HOLD),
-    ("creep_down_450_parked", Mode.HOLD),
-    ("brake_stuck_open_parked", Mode.HOLD),
-    ("brake_closes_late", Mode.FAULT),
-    ("encoder_stuck_brake_slips_reset_arm", Mode.HOLD),
-    ("encoder_stuck_brake_slips_down_100_stiff", Mode.DISARMED),  # judged by its own spring
-]
-"""One row of each kind."""
-
-
 @pytest.mark.parametrize(
-    ("name", "mode"), [(fault.id, mode) for fault, mode in by_start((ROWS[name], mode) for name, mode in PLAYED)]
+    ("name", "mode"), [(fault.id, mode) for fault, mode in by_start((ROWS[name], mode) for name, mode in GATE)]
 )
 def test_it_comes_to_what_is_expected(bench: Bench, name: str, mode: Mode) -> None:
     found = row(bench, name, mode)

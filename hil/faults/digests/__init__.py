@@ -1,0 +1,1 @@
+"""Digests of what the loop, its devices and the plant do in many runs: two commits are compared by them."""

@@ -1,0 +1,174 @@
+"""Digests of a run, one for each stream and name: numbers of enumerations by name, so that only behaviour counts."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping
+from enum import IntEnum, IntFlag
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.faults.digests import name_map
+from hil.faults.lockstep_run import Run
+from hil.wire import FRAME
+from rigctl.control.checks import Check
+from rigctl.control.escalation import Symptom
+from rigctl.control.events import Kind, Unmeasured
+from rigctl.control.faults import Fault
+from rigctl.control.gate import Verdict
+from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal
+from rigctl.control.safety import Action
+from rigctl.ipc.record import Flag, Quality
+
+Digests = dict[str, dict[str, str]]
+"""By stream and name."""
+_DIGITS = 16
+_FRAME = np.dtype([("t_ns", "<i8"), ("frame", f"V{FRAME.size}")])
+
+_QUALITY = dict.fromkeys(
+    ("tension_quality", "inclination_quality", "drive_quality", "rail_quality"), Quality
+)  # fmt: skip
+_VERDICTS = dict.fromkeys(("tension_verdict", "speed_verdict", "tangential_verdict", "normal_verdict"), Verdict)
+_RECORD: dict[str, type[IntEnum | IntFlag]] = {
+    "mode": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest, "fault": Fault, "flags": Flag,
+    "checks": Check, **_QUALITY, **_VERDICTS,
+}  # fmt: skip
+_TRIP: dict[str, type[IntEnum]] = {"a": Fault, "b": Action}
+_HELD: dict[str, type[IntEnum]] = {"a": HeldBy, "b": HeldBy}
+_EVENT: dict[Kind, dict[str, type[IntEnum]]] = {
+    Kind.MODE: {"a": Mode, "b": Mode, "value": Event}, Kind.TRIP: _TRIP, Kind.LIMIT: _TRIP, Kind.LIMIT_OVER: _TRIP,
+    Kind.CAUSE: _TRIP, Kind.CAUSE_OVER: _TRIP, Kind.RESET: {"a": Fault}, Kind.START_ANEW: {"a": Fault},
+    Kind.STROKE_LEFT: {"a": Mode}, Kind.ESCALATION: {"a": Fault, "b": Symptom}, Kind.HELD: _HELD,
+    Kind.POWER_OFF: {"a": PowerOff}, Kind.LOAD_AT_REST: {"a": LoadAtRest, "b": LoadAtRest},
+    Kind.NO_MARGINS: {"a": Unmeasured},
+}  # fmt: skip
+_CAUSE_BITS = "cause_bits"
+_PLACE = re.compile(rb" in [\w<>]+:\d+(?=: )")
+"""Where an exception was raised, which a moved line changes."""
+_TRUTH = ("tension_n", "stroke_mm", "enabled", "powered")
+
+
+def digests_of(run: Run) -> Digests:
+    """Digests of a run whose frames were kept."""
+    found = {
+        "frames": dict(_frames(frames_array(run.frames))),
+        "records": dict(_records(run.records)),
+        "events": dict(_events(run.events)),
+        "replies": dict(_replies(run.replies)),
+        "truth": {name: _digest(_plain(getattr(run, name))) for name in ("t_s", *_TRUTH)},
+    }
+    return {stream: dict(_as_compared(stream, names)) for stream, names in found.items()}
+
+
+def frames_array(log: list[tuple[int, bytes]]) -> npt.NDArray[Any]:
+    """The frames on the wire with their time."""
+    return np.array([(t_ns, np.void(frame)) for t_ns, frame in log], _FRAME)
+
+
+def _as_compared(stream: str, digests: Mapping[str, str]) -> Iterator[tuple[str, str]]:
+    for name, digest in digests.items():
+        if f"{stream}/{name}" not in name_map.ADDED:
+            before = name_map.RENAMED.get(f"{stream}/{name}", f"{stream}/{name}")
+            yield before.partition("/")[2], digest
+
+
+def _frames(frames: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
+    whole = np.frombuffer(frames["frame"].tobytes(), np.dtype([("id", "=u4"), ("rest", f"V{FRAME.size - 4}")]))
+    for can_id in np.unique(whole["id"]):
+        yield f"0x{can_id:03X}", _digest(frames[whole["id"] == can_id].tobytes())
+
+
+def _records(records: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
+    for name in records.dtype.names or ():
+        if name == "seq":
+            continue
+        column = records[name]
+        if name == _CAUSE_BITS:
+            yield name, _digest(_named(column, _fault_bits))
+        elif name in _RECORD:
+            yield name, _digest(_named(column, _namer(_RECORD[name])))
+        else:
+            yield name, _digest(_plain(column))
+
+
+def _events(events: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
+    names = [_member(Kind(int(kind))) for kind in events["kind"]]
+    yield "order", _digest(_plain(events["t_ns"]) + "\n".join(names).encode())
+    for kind in sorted({Kind(int(number)) for number in events["kind"]}):
+        of_kind = events[events["kind"] == kind]
+        enums = _EVENT.get(kind, {})
+        for field in ("a", "b", "value", "limit"):
+            column = of_kind[field]
+            content = _named(column, _namer(enums[field])) if field in enums else _plain(column)
+            yield f"{_member(kind)}.{field}", _digest(content)
+        texts = [bytes(text) for text in of_kind["text"]]
+        if kind is Kind.EXCEPTION:
+            texts = [_PLACE.sub(b"", text) for text in texts]
+        yield f"{_member(kind)}.text", _digest(b"\n".join(texts))
+
+
+def _replies(replies: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
+    enums: dict[str, type[IntEnum]] = {"reason": Refusal, "mode": Mode, "cause": Fault}
+    for name in replies.dtype.names or ():
+        if name == "seq":
+            continue
+        if name == "checks":
+            caused = replies["reason"] == Refusal.CAUSE_PRESENT
+            content = _named(replies[name][caused], _fault_bits) + _named(replies[name][~caused], _namer(Check))
+        elif name in enums:
+            content = _named(replies[name], _namer(enums[name]))
+        else:
+            content = _plain(replies[name])
+        yield name, _digest(content)
+
+
+def _plain(column: npt.NDArray[Any]) -> bytes:
+    """The column's bytes; a number that is not one has one form."""
+    if column.dtype.kind == "f":
+        column = np.where(np.isnan(column), np.nan, column)
+    return np.ascontiguousarray(column).tobytes()
+
+
+def _named(column: npt.NDArray[Any], name_of: Callable[[float], str]) -> bytes:
+    """The column by the names of its values, whatever their numbers are."""
+    values, places = np.unique(column, return_inverse=True)
+    names = [name_of(value.item()) for value in values]
+    ordered = sorted(set(names))
+    ranks = np.array([ordered.index(name) for name in names], "<u2")
+    return "\n".join(ordered).encode() + b"\n" + ranks[places].tobytes()
+
+
+def _namer(kind: type[IntEnum | IntFlag]) -> Callable[[float], str]:
+    """The function that names a value of an enumeration; bits by the names of those that are set."""
+    known = {int(member): _member(member) for member in kind}
+
+    def name_of(value: float) -> str:
+        if issubclass(kind, IntFlag):
+            return _bits(int(value), ((bit, known.get(1 << bit)) for bit in range(int(value).bit_length())), kind)
+        return "nan" if math.isnan(value) else known.get(int(value), f"{value:g}")
+
+    return name_of
+
+
+def _bits(value: int, bits: Iterator[tuple[int, str | None]], kind: type[IntEnum | IntFlag]) -> str:
+    found = [name or str(1 << bit) for bit, name in bits if value >> bit & 1]
+    return "|".join(sorted(name for name in found if f"{kind.__name__}.{name}" not in name_map.ADDED))
+
+
+def _fault_bits(value: float) -> str:
+    names = {int(fault): _member(fault) for fault in Fault}
+    return _bits(int(value), ((bit, names.get(bit)) for bit in range(int(value).bit_length())), Fault)
+
+
+def _member(member: IntEnum | IntFlag) -> str:
+    """The member's name, as it was before where it is renamed."""
+    own = f"{type(member).__name__}.{member.name}"
+    return name_map.RENAMED.get(own, own).partition(".")[2]
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:_DIGITS]
