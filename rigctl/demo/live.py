@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import pathlib
 import signal
 import subprocess
 import tempfile
 import time
-from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import can
-import canopen
 import msgspec
 import numpy as np
 import numpy.typing as npt
@@ -23,9 +22,9 @@ from rigctl.client.connection import NoDaemonError
 from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.control.modes import Mode, Verb
 from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, start_live_rig
-from rigctl.demo.script import DemoError, Moment, PausedError, Show, TrippedError, play
+from rigctl.demo.script import DemoError, Moment, PausedError, Show, play
+from rigctl.demo.simulator_node import SimulatorNode
 from rigctl.demo.summary import Summary, Telemetry, summarise
-from rigctl.devices import objects as od
 from rigctl.ipc.record import NEVER_AGE_NS
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
@@ -39,7 +38,7 @@ PAUSE_TICKS = 10  # missed by the loop, or without a sample: a computer with tim
 class LiveStage:
     """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
 
-    def __init__(self, live_rig: LiveRig, records: RingReader, simulator: canopen.RemoteNode) -> None:
+    def __init__(self, live_rig: LiveRig, records: RingReader, simulator: SimulatorNode) -> None:
         self._live_rig, self._client = live_rig, live_rig.client
         self._states = self._client.follow(self._client.keys.state)
         self._reader = records
@@ -61,17 +60,11 @@ class LiveStage:
 
     def start_move(self) -> None:
         """See `Stage`."""
-        try:
-            self._simulator.sdo[od.SIM_MOTION_START].raw = 1
-        except canopen.sdo.SdoError as error:
-            raise DemoError(f"the simulated mechanism did not start: {error}") from None
+        self._simulator.start_move()
 
     def moving(self) -> bool:
         """See `Stage`."""
-        try:
-            return bool(self._simulator.sdo[od.SIM_MOTION_STATE].raw)
-        except canopen.sdo.SdoError as error:
-            raise DemoError(f"the simulated rig does not answer: {error}") from None
+        return self._simulator.moving()
 
     def moment(self) -> Moment:
         """See `Stage`."""
@@ -109,19 +102,6 @@ class LiveStage:
         self.records.append(self._reader.read())
 
 
-@contextlib.contextmanager
-def _simulator(settings: RigSettings) -> Iterator[canopen.RemoteNode]:
-    """The simulator's own node, on the same bus."""
-    network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.02
-    network.connect(interface=settings.can.interface, channel=settings.can.channel)
-    eds = settings.file(settings.cylinder.eds).with_name("simulator.eds")
-    try:
-        yield network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(eds)))
-    finally:
-        network.disconnect()
-
-
 def _count(counter: subprocess.Popen[bytes]) -> Telemetry:
     counter.send_signal(signal.SIGTERM)
     out, _ = counter.communicate(timeout=STOP_LIMIT_S)
@@ -150,15 +130,16 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
             counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
             records = Runtime.of(settings.rig).records.reader(from_start=True)
-            with _simulator(live_rig.settings) as simulator:
-                stage = LiveStage(live_rig, records, simulator)
-                try:
-                    play(stage, demo, show)
-                except TrippedError as error:
-                    raise _by_pause(stage, settings) or error from None
-                telemetry = _count(counter)
-                stage.pass_time(0.0)
-                recording = _recording(settings)
+            bus = live_rig.settings.can
+            open_bus = functools.partial(can.Bus, interface=bus.interface, channel=bus.channel)
+            stage = LiveStage(live_rig, records, SimulatorNode(open_bus, time.monotonic_ns))
+            try:
+                play(stage, demo, show)
+            except (DemoError, LiveRigError) as error:
+                raise _by_pause(stage, settings) or error from None
+            telemetry = _count(counter)
+            stage.pass_time(0.0)
+            recording = _recording(settings)
             live_rig.end()
         except LiveRigError as error:
             raise DemoError(str(error)) from None
@@ -168,7 +149,7 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
 
 
 def _by_pause(stage: LiveStage, settings: RigSettings) -> PausedError | None:
-    """The error for a trip caused by a pause of this computer; None for any other trip."""
+    """The error for a trip caused by a pause of this computer; None without one."""
     stage.pass_time(0.0)
     pause = pause_before_trip(np.concatenate(stage.records), settings)
     if pause is None:

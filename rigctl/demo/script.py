@@ -17,10 +17,6 @@ class DemoError(RuntimeError):
     """The demo could not be played to its end; ``str()`` is one line."""
 
 
-class TrippedError(DemoError):
-    """The rig tripped."""
-
-
 class PausedError(DemoError):
     """This computer stopped the loop or the simulated rig for longer than the rig tolerates."""
 
@@ -75,7 +71,7 @@ def play(stage: Stage, demo: DemoSettings, show: Show) -> None:
             moment = stage.moment()
             show(moment, step)
             if moment.mode is Mode.FAULT:
-                raise TrippedError(f"the rig tripped while {step}")
+                raise DemoError(f"the rig tripped while {step}")
         raise DemoError(f"{step} took longer than {limit_s:.0f} s")
 
     def wait(seconds: float, step: str) -> None:

@@ -22,7 +22,7 @@ from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
-_TRIES = 3
+TRIES = 3
 """Requests to a device that has answered before, until it counts as silent."""
 _Value = TypeVar("_Value")
 _MOST_SEGMENTS = 4  # no object read here needs more than one
@@ -68,6 +68,14 @@ class StopSetting:
         return self.found == self.wanted
 
 
+def repeated(transfer: Callable[[], _Value], tries: int = TRIES) -> _Value:
+    """Result of a transfer, which is repeated where no answer comes: one lost frame is no silent device."""
+    for _ in range(tries - 1):
+        with contextlib.suppress(canopen.SdoCommunicationError):
+            return transfer()
+    return transfer()
+
+
 class RemoteNode:
     """One device under configuration, with errors that name it."""
 
@@ -102,21 +110,14 @@ class RemoteNode:
         """Whether an object that is optional in its profile is in the device's EDS file."""
         return (index, sub) in self._objects
 
-    def read(self, index: int, sub: int = 0, *, tries: int = _TRIES) -> int:
+    def read(self, index: int, sub: int = 0, *, tries: int = TRIES) -> int:
         """Value of an object; a request without an answer is repeated."""
         with self._errors_named(index, sub, tries=tries):
-            return self._repeated(lambda: self._upload(self._objects[index, sub]), tries)
-
-    def _repeated(self, transfer: Callable[[], _Value], tries: int = _TRIES) -> _Value:
-        """Result of a transfer, which is repeated where no answer comes: one lost frame is no silent device."""
-        for _ in range(tries - 1):
-            with contextlib.suppress(canopen.SdoCommunicationError):
-                return transfer()
-        return transfer()
+            return repeated(lambda: self._upload(self._objects[index, sub]), tries)
 
     @contextlib.contextmanager
     def _errors_named(
-        self, index: int, sub: int, refused: str = "cannot be read", tries: int = _TRIES
+        self, index: int, sub: int, refused: str = "cannot be read", tries: int = TRIES
     ) -> Iterator[None]:
         """A transfer of an object, whose errors name device and object; ``refused``: what an abort means.
 
@@ -177,7 +178,7 @@ class RemoteNode:
             raise StartupError(
                 f"{self.where(item.index, item.sub)}: {value} does not fit into it, it is {item.type_name}"
             ) from None
-        self._repeated(lambda: self.remote.sdo.download(item.index, item.sub, data))
+        repeated(lambda: self.remote.sdo.download(item.index, item.sub, data))
 
     def write(self, value: int, index: int, sub: int = 0, *, verify: bool = True) -> int:
         """Write an object and read it back."""
@@ -216,7 +217,7 @@ class RemoteNode:
             except canopen.SdoAbortedError as error:
                 why = f"refused: {error}"
             try:
-                found = StopSetting(name, what, wanted, self._repeated(lambda: self._upload(item)), why)
+                found = StopSetting(name, what, wanted, repeated(lambda: self._upload(item)), why)
             except canopen.SdoAbortedError as error:
                 return StopSetting(name, what, wanted, None, f"cannot be read: {error}")
         if found.ok:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import json
 import os
 import pathlib
@@ -10,12 +11,15 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from typing import Any
 
+import can
 import yaml
 
+from rigctl.demo.simulator_node import SimulatorNode
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.key_folder import KeyFolder
 from rigctl.identity.roles import Role
@@ -143,6 +147,12 @@ def process_with(*words: str) -> int:
     found = processes_with(*words)
     assert found, f"no process with {words}"
     return found[0]
+
+
+def simulator(file: pathlib.Path) -> SimulatorNode:
+    """The simulator's own node on the bus of a rig file from `rig_file`, which is served."""
+    bus = str(file.with_name("bus.sock"))
+    return SimulatorNode(functools.partial(can.Bus, interface="rigsim", channel=bus), time.monotonic_ns)
 
 
 @contextlib.contextmanager

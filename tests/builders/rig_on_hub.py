@@ -29,10 +29,14 @@ class RigOnHub:
         """A frame reaches the rig."""
         self.rig.receive(frame)
 
+    def bus(self) -> InProcessBus:
+        """A program's connection, whose waits let time pass."""
+        return InProcessBus(self.hub, pass_time=self._pass_time)
+
     def bring_up(self) -> startup.StartupReport:
         """Start the devices as the control process does; ``said`` has the lines about waits."""
         self.said.clear()
-        bus = InProcessBus(self.hub, pass_time=self._pass_time)
+        bus = self.bus()
         try:
             return startup.bring_up(bus, self.settings, lambda: self.t_ns, self.said.append)
         finally:

@@ -117,7 +117,7 @@ class Truth:
         self._network.connect(interface="socketcan", channel=BUS, can_filters=answers)
         for node, eds in _RUNNING:
             added = self._network.add_node(canopen.RemoteNode(node, str(ROOT / f"config/eds/{eds}.eds")))
-            added.sdo.RESPONSE_TIMEOUT = 2.0
+            added.sdo.RESPONSE_TIMEOUT, added.sdo.MAX_RETRIES = 2.0, 3
 
     @property
     def vertical_n(self) -> float:

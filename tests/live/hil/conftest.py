@@ -79,7 +79,8 @@ def network(served: subprocess.Popen[str], channel: str) -> Iterator[canopen.Net
     network = canopen.Network()
     network.connect(interface="rigsim", channel=channel)
     for node, name in {2: "tension_amplifier", 3: "inclinometer", 4: "cylinder_drive", 112: "simulator"}.items():
-        network.add_node(node, str(REPOSITORY / f"config/eds/{name}.eds")).sdo.RESPONSE_TIMEOUT = 5.0
+        sdo = network.add_node(node, str(REPOSITORY / f"config/eds/{name}.eds")).sdo
+        sdo.RESPONSE_TIMEOUT, sdo.MAX_RETRIES = 5.0, 3
     yield network
     network.disconnect()
 

@@ -27,7 +27,7 @@ def rig_file(rig_file: pathlib.Path) -> pathlib.Path:
 def node(network: canopen.Network) -> Any:
     eds = ROOT / "config/eds/io_node.eds"
     found = network.add_node(IO.node, str(eds))
-    found.sdo.RESPONSE_TIMEOUT = 5.0
+    found.sdo.RESPONSE_TIMEOUT, found.sdo.MAX_RETRIES = 5.0, 3
     return found
 
 

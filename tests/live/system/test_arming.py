@@ -8,12 +8,10 @@ import pathlib
 from collections.abc import Iterator
 from typing import Any
 
-import canopen
 import pytest
 
 from rigctl.devices import objects as od
 from tests.builders import daemons
-from tests.builders.paths import ROOT
 from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT, Running
 
@@ -24,18 +22,6 @@ def running(folder: pathlib.Path, changes: dict[str, dict[str, Any]]) -> Iterato
     log = folder / "daemon.log"
     with daemons.simulated_rig(file, folder / "rig.log") as rig, daemons.daemon(file, log) as daemon:
         yield Running(file, daemon, rig, log)
-
-
-def press_e_stop(rig: Running, pressed: int) -> None:
-    """Press or release the emergency stop of the simulated rig."""
-    network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.02
-    network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
-    try:
-        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(ROOT / "config/eds/simulator.eds")))
-        node.sdo[od.SIM_E_STOP].raw = pressed
-    finally:
-        network.disconnect()
 
 
 def doctor(rig: Running) -> tuple[int, dict[str, dict[str, Any]]]:
@@ -55,14 +41,14 @@ def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before
         assert code == any(row["severity"] == "fails" for row in found.values())
         assert found["emergency stop: released"]["ok"]
         assert found["emergency stop: seen"]["ok"]
-        press_e_stop(rig, 1)
+        daemons.simulator(rig.file).write(od.SIM_E_STOP, 1)
         until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
         assert "cause still present: E_STOP" in rig.refused("reset")
         code, found = doctor(rig)
         assert code == 1
         assert found["emergency stop: released"]["severity"] == "fails"
-        press_e_stop(rig, 0)
+        daemons.simulator(rig.file).write(od.SIM_E_STOP, 0)
         until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
         until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
         assert daemons.mode(rig.file) == "DISARMED"  # the drive's own fault: a whole arming follows

@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
-import canopen
 import numpy as np
 import pytest
 
@@ -78,15 +77,8 @@ class Running:
 
     def truth(self) -> tuple[float, float]:
         """True vertical tension in N and stroke in mm."""
-        network = canopen.Network()
-        network.NOTIFIER_CYCLE = 0.02
-        network.connect(interface="rigsim", channel=str(self.file.with_name("bus.sock")))
-        try:
-            eds = ROOT / "config/eds/simulator.eds"
-            node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(eds)))
-            return node.sdo[od.SIM_TRUE_VERTICAL_MN].raw * 1e-3, node.sdo[od.SIM_TRUE_STROKE_UM].raw * 1e-3
-        finally:
-            network.disconnect()
+        node = daemons.simulator(self.file)
+        return node.read(od.SIM_TRUE_VERTICAL_MN) * 1e-3, node.read(od.SIM_TRUE_STROKE_UM) * 1e-3
 
 
 def _start(file: pathlib.Path) -> Iterator[Running]:

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import contextlib
 import pathlib
-from collections.abc import Iterator
 
-import canopen
+import can
 import pytest
 
 from rigctl.devices import objects as od
 from tests.builders import daemons
-from tests.builders.paths import ROOT
 from tests.builders.waiting import until
 from tests.live.system.test_arming import doctor, running
 from tests.live.system.test_daemon import Running
@@ -20,27 +17,10 @@ IO = {"node": 6, "e_stop_input": 0, "stale_ms": 300}
 RELEASED, SEEN = "emergency stop, I/O node: released", "emergency stop, I/O node: seen"
 
 
-@contextlib.contextmanager
-def bus(rig: Running) -> Iterator[canopen.Network]:
-    """A foreign node on the simulated rig's bus."""
-    network = canopen.Network()
-    network.NOTIFIER_CYCLE = 0.02
-    network.connect(interface="rigsim", channel=str(rig.file.with_name("bus.sock")))
-    try:
-        yield network
-    finally:
-        network.disconnect()
-
-
-def open_contact(rig: Running, opened: int) -> None:
-    with bus(rig) as network:
-        node = network.add_node(canopen.RemoteNode(od.SIMULATOR_NODE, str(ROOT / "config/eds/simulator.eds")))
-        node.sdo[od.SIM_IO_E_STOP].raw = opened
-
-
 def nmt(rig: Running, command: int) -> None:
-    with bus(rig) as network:
-        network.send_message(od.NMT_COB, bytes([command, IO["node"]]))
+    """Another master's command to the I/O node."""
+    with can.Bus(interface="rigsim", channel=str(rig.file.with_name("bus.sock"))) as bus:
+        bus.send(can.Message(arbitration_id=od.NMT_COB, data=[command, IO["node"]], is_extended_id=False))
 
 
 def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_arming(tmp_path: pathlib.Path) -> None:
@@ -52,7 +32,7 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         rig.do("tension", "--wait")
         _, found = doctor(rig)
         assert found[RELEASED]["ok"] and found[SEEN]["ok"]
-        open_contact(rig, 1)
+        daemons.simulator(rig.file).write(od.SIM_IO_E_STOP, 1)
         until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
         said = until(lambda: (text := rig.do("status")) and "e-stop" in text and text, log=rig.log)
@@ -64,7 +44,7 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         assert found[RELEASED]["severity"] == "fails"
         assert found["emergency stop: released"]["ok"]  # the drive's contact
         assert "cause still present: E_STOP" in rig.refused("reset")
-        open_contact(rig, 0)
+        daemons.simulator(rig.file).write(od.SIM_IO_E_STOP, 0)
         until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
         until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
         assert daemons.mode(rig.file) == "DISARMED"  # an emergency stop took the power off
