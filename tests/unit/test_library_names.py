@@ -71,10 +71,11 @@ def named_by(statement: ast.Import | ast.ImportFrom, alias: ast.alias) -> tuple[
 
 def nodes_of(scope: ast.AST) -> Iterator[ast.AST]:
     """Every node of a scope; of each scope within it the first alone."""
-    for child in ast.iter_child_nodes(scope):
-        yield child
-        if not isinstance(child, SCOPES):
-            yield from nodes_of(child)
+    left = [*ast.iter_child_nodes(scope)]
+    while left:
+        yield (node := left.pop())
+        if not isinstance(node, SCOPES):
+            left.extend(ast.iter_child_nodes(node))
 
 
 def objects(node: ast.expr, names: Imported) -> list[Any]:
@@ -116,7 +117,7 @@ def wrong_names(scope: ast.AST, around: Imported) -> Iterator[tuple[int, str]]:
 
 
 def found_in(source: str) -> list[str]:
-    return [f"{line}: {words}" for line, words in dict.fromkeys(wrong_names(ast.parse(source), {}))]
+    return [f"{line}: {words}" for line, words in sorted(set(wrong_names(ast.parse(source), {})))]
 
 
 def test_every_name_of_a_library_exists() -> None:
