@@ -98,10 +98,10 @@ VERBS = (
     VerbRow(
         "carry",
         "verbs:carry",
-        "In FAULT, where the brake slips: the motor holds the load for SECONDS, then lowers it.",
+        "Where the brake does not hold: the motor holds the load for SECONDS, then lowers it.",
         signed=True,
     ),
-    VerbRow("lower", "verbs:lower", "In FAULT, where the brake slips: the motor lowers the load to a slack rope."),
+    VerbRow("lower", "verbs:lower", "Where the brake does not hold: the motor lowers the load to a slack rope."),
     VerbRow(
         "move",
         "verbs:move",

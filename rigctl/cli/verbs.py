@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -47,6 +47,10 @@ Seconds = Annotated[
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
+By = Annotated[
+    Literal["encoder", "cell"] | None,
+    typer.Option("--by", help="Go by this alone, where encoder and tension disagree: see at the rig which is right."),
+]
 
 # Mode in which a command ends, and the mode it passes through.
 _ENDS = {"tension": ("COMPENSATING", "TENSIONING"), "release": ("HOLD", "RELEASING")}
@@ -88,15 +92,22 @@ def reset(json: Json = False, connect: Connect = None, rig: Rig = None, operator
 
 
 def carry(
-    seconds: Seconds, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+    seconds: Seconds,
+    by: By = None,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
 ) -> None:
-    """In FAULT, where the brake slips: the motor holds the load for SECONDS, then lowers it."""
-    give_and_end("carry", json, connect, rig, operator, seconds)
+    """Where the brake does not hold: the motor holds the load for SECONDS, then lowers it."""
+    give_and_end("carry", json, connect, rig, operator, seconds, by=by or "")
 
 
-def lower(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
-    """In FAULT, where the brake slips: the motor lowers the load to a slack rope."""
-    give_and_end("lower", json, connect, rig, operator)
+def lower(
+    by: By = None, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+) -> None:
+    """Where the brake does not hold: the motor lowers the load to a slack rope."""
+    give_and_end("lower", json, connect, rig, operator, by=by or "")
 
 
 def target(
@@ -133,12 +144,15 @@ def give_and_end(
     value: float | None = None,
     *,
     wait: bool = False,
-    near_end: bool = False,
+    **options: bool | str,
 ) -> NoReturn:
-    """Give a command over the network, print its answer and end; ``wait``: when it is over."""
+    """Give a command over the network, print its answer and end; ``wait``: when it is over.
+
+    ``options``: see `rigctl.wire.command_request.Request`.
+    """
     with daemon(connect, rig) as client:
         states = client.follow(client.keys.state) if wait else None
-        answer = give(client, verb, operator_name(operator), value, near_end=near_end)
+        answer = give(client, verb, operator_name(operator), value, **options)
         if bool(answer.get("accepted")) and states is not None:
             if not json:
                 say(str(answer["text"]))

@@ -6,7 +6,9 @@ import sys
 from itertools import product
 
 from rigctl.control import load_at_rest
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, STILL_NS
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
+from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
+from rigctl.control.carried_load import ENDS, FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
@@ -18,6 +20,7 @@ from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SI
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 
 _LOAD_REST_S = load_at_rest.REST_NS * 1e-9
+_ENDS = "\n".join(f"- {fault.name}" for fault in sorted(ENDS))
 _TRIALS = "`identify` and `response`"
 _HEAD = f"""\
 # Modes
@@ -115,16 +118,35 @@ or if only one of the two shows it, the drive stays off until the operator gives
 
 A stroke that moves on the closed brake, faster than {SINK_MM_S:g} mm/s over 5 s or {BRAKE_SLIP_MM_S:g} mm/s at once, is
 STROKE_MOVES in every mode that keeps the stroke, with its speed and the time until the rope is slack. No `reset` is
-accepted while the load sinks. In FAULT the operator has two commands:
+accepted while the load sinks.
+
+It also sets the flag `brake_fails`: the brake is known not to hold. BRAKE_SLIPS sets it too, as do a net motion of
+{MOVED_MM:g} mm on the closed brake since the stroke was last commanded to move, and a tension that has lost
+{FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s while the encoder is in doubt. No reset clears it,
+only a brake test: {LONG_TEST_NS * 1e-9:g} s of `arm` with at least {TESTED_SHARE:.0%} of the load at which the brake
+slipped (of `tension.target_max_n` where that is not known). If the load moves in that test, the motor takes it. With a
+slack rope the flag stays, and `arm` is accepted.
+
+While the flag is set the operator has two commands in FAULT, HOLD and DISARMED; outside FAULT they latch BRAKE_SLIPS
+first:
 
 - `carry` SECONDS (operator, with the lease): the motor takes the load and holds it for {CARRY_S[0]:g} to
-  {CARRY_S[1]:g} s; the fault stays latched and shown. Encoder and tension by stiffness have to agree on how the load
-  moves, no emergency stop may be pressed, and no other cause may be active; after `silence` it is refused. `reset` is
-  refused meanwhile; `carry` again prolongs it. When its time is over the motor lowers the load. Four things give the
-  load back to the slipping brake: `disarm`, the end of the daemon, another cause that becomes active, and with it the
-  emergency stop.
-- `lower`, or `release` while the motor carries the load: the motor lowers it on the ramp of `release` until the rope is
-  slack. A `hold` stops it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
+  {CARRY_S[1]:g} s; the fault stays latched and shown. `reset` is refused meanwhile; `carry` again prolongs it. When its
+  time is over the motor lowers the load. `disarm` and the end of the daemon give it back to the brake.
+- `lower`, or `release` while the motor carries the load: the motor lowers it until the rope is slack. A `hold` stops
+  it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
+
+Both follow one witness where the other is in doubt: the encoder alone lowers at {LOWERS_MM_S:g} mm/s, until the rope is
+slack by its last credible tension and {SPARE_MM:g} mm more. Where encoder and tension disagree by themselves the
+command is refused, and the operator names one (`--by encoder`, `--by cell`). A fault of the drive's own is cleared by
+the command, once, but for those of feedback, brake and power stage. Only what concerns moving the load stops the motor,
+by quick stop:
+
+{_ENDS}
+
+and a tension that is for {FOLLOWS_NS * 1e-9:g} s more than {FOLLOWS_MM:g} mm from the commanded stroke where it alone
+is followed. Everything else is reported. Without the flag, and in FAULT, `carry` needs both witnesses, and any other
+cause gives the load back to the brake.
 """
 _HELD = f"""
 ## The stroke that is held

@@ -15,7 +15,7 @@ from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
-from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb, Witness
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
@@ -51,6 +51,8 @@ class Kind(IntEnum):
     SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
     READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
     STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
+    BRAKE_FLAG = 56  # a: 1 the brake is known not to hold, 0 it holds; value: tension in N, text: why
+    WITNESS = 57  # a: see rigctl.control.modes.Witness, text: the command; an operator has named it
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOAD_STEP = 71  # a: samples, b: cell's temperature in mK (0: not known), value: their mean reading in N,
     # limit: their mean time after the load's step in s, negative before it, text: rms of the reading in N
@@ -62,7 +64,8 @@ class Kind(IntEnum):
     NOT_LEARNT = 82  # as LEARNT, text: why the move taught nothing; b 0: its table is dropped
     HELD = 100  # a: from, b: to, see rigctl.control.modes.HeldBy; value: longest time in s for which the motor holds,
     # 0: hold.park_s; text: the command that needs it, or the mode
-    POWER_OFF = 102  # a: see rigctl.control.power_off.PowerOff, value: time since the command in s
+    POWER_OFF = 102  # a: see rigctl.control.power_off.PowerOff, value: time since the command in s,
+    # b: 1 the brake is known not to hold
     LOAD_AT_REST = 103  # a: from, b: to, see rigctl.control.modes.LoadAtRest, on the closed brake; text: mode
     NO_MARGINS = 101  # a: why, see Unmeasured
     MARGINS_DIFFER = 104  # value: |S| as measured, limit: the nearest that the design's family has
@@ -272,8 +275,8 @@ _RANGES: dict[Verb, str] = {
 _PLAIN_TEXT = {
     Refusal.CARRIED: "the motor carries the load for another {:.0f} s, because the brake does not hold it: rigctl "
     "lower, or rigctl disarm to try the brake, then reset",
-    Refusal.DISAGREE: "encoder and tension disagree by {:.2f} mm on how the load moves, so the motor could hold it by "
-    "neither: secure the load, or rigctl lower",
+    Refusal.DISAGREE: "encoder and tension disagree by {:.2f} mm on how the load moves: see at the rig which of them "
+    "is right, then rigctl carry (or lower) --by encoder or --by cell",
     Refusal.STOPPING: "daemon is stopping",
     Refusal.EXPIRED: "command came too late and was not carried out",
     Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",
@@ -314,6 +317,7 @@ _HINT: dict[tuple[Mode, Verb], str] = {
 }
 
 
+_WITNESS = {Witness.ENCODER: "encoder", Witness.CELL: "cell"}
 _HELD_TEXT: dict[HeldBy, str] = {
     HeldBy.NOTHING: "the motor moves the load",
     HeldBy.MOTOR: "held by the motor",
@@ -330,10 +334,11 @@ def _held(_a: int, b: int, value: float, _limit: float, text: str) -> Worded:
     return Worded(severity, f"{text}: load {_HELD_TEXT[HeldBy(b)]}{longest}")
 
 
-def _power_off(a: int, _b: int, value: float, _limit: float, _text: str) -> Worded:
+def _power_off(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     shown = PowerOff(a) if a in PowerOff._value2member_map_ else PowerOff.UNCONFIRMED
     severity = "info" if shown.confirmed else "error"
-    hint = "" if shown.confirmed else ": press the emergency stop, and secure the load"
+    secure = "support the payload from below" if b else "press the emergency stop, and secure the load"
+    hint = "" if shown.confirmed else f": {secure}"
     return Worded(severity, f"{shown.words}, {value:.1f} s after the command{hint}")
 
 
@@ -492,6 +497,15 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         f"brake test: held {m:.1f} N for 2 s, stroke moved {v:z.3f} mm"
         if a
         else "brake test not possible: the rope is slack",
+    ),
+    Kind.BRAKE_FLAG: lambda a, _b, v, _m, t: Worded(
+        "error" if a else "info",
+        f"the brake does not hold: {t}, {v:.0f} N on the rope; only a brake test clears this"
+        if a
+        else f"the brake holds: {t}",
+    ),
+    Kind.WITNESS: lambda a, _b, _v, _m, t: Worded(
+        "warning", f"{t} by the {_WITNESS[Witness(a)]} alone, as the operator has named it"
     ),
     Kind.STROKE_LEFT: lambda a, _b, v, m, _t: Worded(
         "warning",

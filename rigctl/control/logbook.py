@@ -30,7 +30,7 @@ NOTICES_KEPT = 64
 ZERO_C_K = 273.15
 _STALE = Quality.STALE.value
 _UNCONFIRMED = Flag.STROKE_UNCONFIRMED.value
-_OFF = Flag.DRIVE_OFF.value
+_OFF, _BRAKE_FAILS = Flag.DRIVE_OFF.value, Flag.BRAKE_FAILS.value
 _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag.STOPPING.value
 
 
@@ -79,7 +79,7 @@ class Logbook:
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
-        flags |= 0 if stroke_known else _UNCONFIRMED
+        flags |= (0 if stroke_known else _UNCONFIRMED) | (_BRAKE_FAILS if machine.brake_fails else 0)
         flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.shown_off else 0)
         values = self._values
         values.t_ns = t_ns

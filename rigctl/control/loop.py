@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import can
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, frequency_trial
+from rigctl.control.brake_flag import BrakeFlag
+from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.clock import Clock
 from rigctl.control.escalation import Escalator
@@ -23,7 +26,7 @@ from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
 from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
-from rigctl.control.modes import Event, HeldBy, Mode, PowerOff
+from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Witness
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
@@ -32,9 +35,11 @@ from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
 from rigctl.control.preload import Preload
 from rigctl.control.probe_plan import plan
 from rigctl.control.readback import Readback
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.slack_zero import SlackWatch
+from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import LeftInDrive, Power, next_controlword
@@ -114,15 +119,17 @@ class Loop:
         self._probe = (
             LoopProbe(settings, plan(settings, gains), self.inbox.quantum_mm) if law is None else NoProbe(settings)
         )
+        self._rope = RopeMemory(settings)
         self.observer = Observer(
             settings, self.inbox, self.outbox, self.machine, self.law, self.homed, self.readback, self._stroke_hold,
-            self._held_tension, self._signs, self._probe,
+            self._held_tension, self._signs, self._probe, self._rope,
         )  # fmt: skip
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
+        self.brake, self._carried = BrakeFlag(settings, self._rope), CarriedLoad(settings, self._rope)
         self._watch = Watch(settings, limit_rows(settings))
         self._escalator = Escalator(settings, arming.stopping_ns(settings))
         self._parking, self._first_second = Parking(settings, arming.stopping_ns(settings)), FirstSecond(settings)
@@ -133,7 +140,8 @@ class Loop:
         self._logbook = logbook = Logbook(settings, rings)
         self._orders = Orders(
             settings, self.machine, self.observer, self.law, self._watch, logbook, self.readback, self.homed,
-            self.learning, self._holds, supervised=supervised,
+            self.learning, self._holds, self.brake, self._carried, self._rope,
+            supervised=supervised,
         )  # fmt: skip
         self._cut_off_ns = BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
         self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
@@ -195,7 +203,7 @@ class Loop:
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
-        trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
+        trip = self._judge(t_ns)
         self._undo_parking(t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
@@ -227,7 +235,7 @@ class Loop:
                 machine.on(Event.TENSIONED)
             elif not self._signs.probe_mm_s:
                 self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
-        elif machine.mode is Mode.RELEASING and law.slack(estimate):
+        elif machine.mode is Mode.RELEASING and self._lowered(estimate):
             machine.on(Event.SLACK)
         done = machine.outcome()
         self._done = self._done.then(done)
@@ -243,6 +251,7 @@ class Loop:
             if change.after is Mode.COMPENSATING:
                 self._travel_from_mm = estimate.stroke_mm
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
+                self.brake.follow()
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
                 self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
 
@@ -274,11 +283,12 @@ class Loop:
         elif mode is Mode.COMPENSATING:
             speed_mm_s, untold_mm_s = law.compensating(estimate, cosine), law.added_mm_s
         elif mode is Mode.RELEASING:
-            speed_mm_s = law.releasing(estimate, cosine)
+            speed_mm_s = self._releasing(estimate, cosine)
         elif mode is Mode.HOLD and trial is not None and trial.moves:
             speed_mm_s = law.limited(law.added_mm_s, estimate.stroke_mm)
         else:
-            speed_mm_s = law.hold(estimate, self._correction(powered=self.machine.drive_wanted))
+            powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
+            speed_mm_s = law.hold(estimate, self._correction(powered=powered))
         self.observer.filter.command(speed_mm_s - untold_mm_s)
         if self._table is not None and mode in _CLOSED:
             self._follow_table(self._table, estimate.stroke_mm)
@@ -391,7 +401,7 @@ class Loop:
         self.observer.look_at_load()
         if snapshot.power_off != shown and snapshot.power_off > PowerOff.AWAITED:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
-            self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, 0, value=since_s)
+            self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, int(self.brake.fails), value=since_s)
         if snapshot.held_by is not before and machine.mode in _KEEPS:
             text = (machine.trial or machine.pending or machine.mode).name.encode()
             until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
@@ -428,12 +438,70 @@ class Loop:
         if self.machine.undo_parking(trip, t_ns):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
+            self.brake.set(f"it has slipped by {first.sank_mm:.2f} mm right after a parking")
+            self._carried.begin(Witness.BOTH, self._watch.standing, self.observer.snapshot)
         first.end()
 
+    def _judge(self, t_ns: int) -> Trip | None:
+        """What trips now; and whether the brake is known not to hold."""
+        machine, snapshot, brake = self.machine, self.observer.snapshot, self.brake
+        trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
+        standing = self._watch.standing
+        self._rope.look(standing, snapshot)
+        if standing or not snapshot.drive_enabled:
+            brake.look(standing, snapshot, braked=snapshot.drive_off and self.observer.braked)
+        if brake.changed:
+            self._take_note_of_brake(t_ns)
+        return self._trip_of_carried(snapshot) if self._on_motor else trip
+
+    def _take_note_of_brake(self, t_ns: int) -> None:
+        """The brake is known not to hold from now on, or to hold again."""
+        brake, self.brake.changed = self.brake, False
+        self.machine.brake_fails = brake.fails
+        text = brake.why.encode()[:80]
+        self._logbook.event(t_ns, Kind.BRAKE_FLAG, int(brake.fails), value=number(self._rope.tension_n), text=text)
+
+    def _trip_of_carried(self, snapshot: Snapshot) -> Trip | None:
+        """What ends a carrying by the motor that alone can hold the load; all other causes are reported."""
+        carried, standing = self._carried, self._watch.standing
+        carried.look(standing, snapshot, self.law.command_mm_s, 1 + self.observer.just_skipped)
+        if carried.strayed_mm:
+            return Trip(
+                Fault.DRIVE_NOT_FOLLOWING, carried.strayed_mm, FOLLOWS_MM, Action.QUICK_STOP, WITNESS_TEXT
+            )  # fmt: skip
+        off = self.machine.drive_wanted and not snapshot.drive_enabled  # nothing carries any more
+        heeded = standing if off else carried.heeded(standing)
+        found = self._watch.strongest(snapshot, heeded) if heeded else None
+        return found and replace(found, action=max(found.action, Action.QUICK_STOP))
+
+    def _releasing(self, estimate: Estimate, cosine: float) -> float:
+        """Lower the load by the tension, or by the encoder alone where the cell is in doubt."""
+        lowering_mm_s = None
+        if self._on_motor:
+            lowering_mm_s = self._carried.lowering_mm_s(estimate.stroke_mm)
+        if lowering_mm_s is None:
+            return self.law.releasing(estimate, cosine)
+        return self.law.limited(lowering_mm_s, estimate.stroke_mm)
+
+    def _lowered(self, estimate: Estimate) -> bool:
+        """The rope is slack."""
+        if self._on_motor and self._carried.by is not Witness.BOTH:
+            return self._carried.lowered(estimate.stroke_mm, self.observer.snapshot.t_ns)
+        return self.law.slack(estimate)
+
+    @property
+    def _on_motor(self) -> bool:
+        """The motor alone can hold the load: it carries for a brake that does not, or by a witness that is named."""
+        return self.machine.carries and (self.brake.fails or self._carried.named is not Witness.BOTH)
+
     def _carry_on(self, t_ns: int) -> None:
-        """The motor carries while nothing but the slip is wrong; when its time is over, it lowers the load."""
+        """The motor carries while nothing but the slip is wrong; when its time is over, it lowers the load.
+
+        For a brake that is known not to hold it does so whatever else is wrong, see `_trip_of_carried`.
+        """
         machine = self.machine
-        if self._watch.standing & ~SLIP_BITS or not self.observer.snapshot.drive_enabled:
+        ended = self._watch.standing & ~SLIP_BITS and not self._on_motor
+        if ended or not self.observer.snapshot.drive_enabled:
             machine.park()
         elif t_ns >= machine.carry_until_ns:
             machine.lower(t_ns)
@@ -474,6 +542,8 @@ class Loop:
     def _escalate(self, t_ns: int) -> None:
         """Follow a reaction that has not helped against the latched fault by the next stronger one."""
         machine, slack = self.machine, self.observer.slack
+        if self._on_motor:  # what ends that is decided by `_trip_of_carried`
+            return
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
         found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)

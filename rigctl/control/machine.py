@@ -95,6 +95,8 @@ class Machine:
         """An accepted command waits for the sequence of `rigctl.control.arming`, before the drive's power."""
         self.carry_until_ns = 0
         """In FAULT the motor holds until then and then lowers the load, because the brake does not hold; 0: no."""
+        self.brake_fails = False
+        """The brake is known not to hold, see `rigctl.control.brake_flag`."""
         self.starts_anew = False
         """A reset of the silence is accepted: the loop ends, and start-up brings all devices up again."""
         self._silent_at_ns = 0
@@ -146,6 +148,11 @@ class Machine:
         return self._pending is not None and self._pending.verb is Verb.RESET
 
     @property
+    def carries(self) -> bool:
+        """The motor carries or lowers a load that the brake does not hold, or is being switched on to."""
+        return self.carry_until_ns > 0 or (self._pending is not None and self._pending.verb in modes.CARRIES)
+
+    @property
     def watched_mode(self) -> Mode:
         """The mode whose rows of the safety table apply: an arming drive is watched as in HOLD."""
         return Mode.HOLD if self.taking and self.mode is Mode.DISARMED else self.mode
@@ -157,7 +164,7 @@ class Machine:
 
     def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
         """Power to command now. Only arming and taking the load back switch it on; one that dropped out stays off."""
-        if self.resetting and drive_faulted:
+        if drive_faulted and (self.resetting or (self.taking and self.carries)):
             edges = (self._pending_until - t_ns) // RESET_WORD_NS
             return Power.RESET if edges % 2 == 0 else Power.RESET_LOW
         if self.taking:
@@ -315,7 +322,9 @@ class Machine:
                 return True
             return False
         if not drive_enabled:
-            if t_ns >= self._pending_until:
+            if drive_faulted and t_ns >= self._pending_until - ARM_LIMIT_NS + DRIVE_RESET_NS and self.carries:
+                self._finish_pending(Refusal.DRIVE_STATE)
+            elif t_ns >= self._pending_until:
                 self._finish_pending(Refusal.DRIVE_TIMEOUT)
                 if self.mode is Mode.FAULT:  # whatever the drive does now, its brake has to close
                     self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
@@ -370,6 +379,12 @@ class Machine:
     def power_off(self) -> None:
         """Let the drive close its brake and go off, in any mode, as the last act of a stop."""
         self._powered = False
+
+    def carry_back(self, t_ns: int) -> None:
+        """The brake does not hold the load that it has been tested with: the motor takes it, as by CARRY."""
+        self._pending = PendingCommand(None, Verb.CARRY, None, LOWERED_NS)
+        self._pending_until, self.awaiting = t_ns + ARM_LIMIT_NS, False
+        self.action = Action.HOLD
 
     def _accept(self, verb: Verb, event: Event | None, t_ns: int, carry_ns: int) -> None:
         match verb:

@@ -34,6 +34,14 @@ class HeldBy(IntEnum):
     UNKNOWN = 5  # the drive does not report its state, or the load is not seen at rest on the closed brake
 
 
+class Witness(IntEnum):
+    """What shows the motion of a load that the motor carries because its brake does not hold it."""
+
+    BOTH = 0  # encoder and cell agree, or an operator has named neither
+    ENCODER = 1
+    CELL = 2
+
+
 class DrivePower(StrEnum):
     """Whether the motor may have torque; the value is what the screens show."""
 
@@ -169,8 +177,8 @@ class Verb(IntEnum):
     CONFIRM_STROKE = 12  # the measured stroke agrees with the drive's position
     RESPONSE = 13  # frequency response by a multisine; a trial, as IDENTIFY
     MOVE = 14  # a move of the mechanism begins, or the one under way has ended
-    CARRY = 15  # in FAULT: the motor holds a load that the brake does not hold
-    LOWER = 16  # in FAULT: the motor lowers such a load until the rope is slack
+    CARRY = 15  # the motor holds a load that the brake does not hold
+    LOWER = 16  # the motor lowers such a load until the rope is slack
 
 
 class Setting(IntEnum):
@@ -194,7 +202,8 @@ VALUES: dict[int, tuple[str, ...]] = {
     Verb.CONFIRM_STROKE: ("stroke_mm",),
     Verb.RESPONSE: ("regulated",),
     Verb.MOVE: ("move",),
-    Verb.CARRY: ("carry_s",),
+    Verb.CARRY: ("carry_s", "by"),
+    Verb.LOWER: ("by",),
     Setting.ZERO: ("zero_n", "zero_c", "zero_n_k", "second_zero_n"),
     Setting.SCALE: ("scale", "overdue", "second_scale"),
     Setting.OVERDUE: ("overdue",),
@@ -262,8 +271,11 @@ class Situation:
     armed: bool = False  # by ARM, and neither disarmed nor taken off power since
     carried: bool = False  # the motor carries the load because the brake does not
     e_stop: bool = False  # pressed
+    brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
     disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
+    by: float = 0.0  # of a CARRY or LOWER: the witness that the operator names
     drive_faulted: bool = False
+    drive_unfit: bool = False  # by a fault of feedback, brake or power stage
     slack: bool = False
     unloaded: bool = False  # the cell reads no more than a tare may take away
     wanted_n: float = 0.0  # target of a TARGET
@@ -355,14 +367,40 @@ def stroke_as_measured(situation: Situation) -> Refusal:
 
 
 def motor_may_carry(situation: Situation) -> Refusal:
-    """No emergency stop is pressed, the rope is tight, encoder and tension agree, and the time is 1 s to 1 h."""
+    """No emergency stop is pressed, the rope is tight, the time is 1 s to 1 h, a witness is named or both agree."""
     if situation.e_stop:
         return Refusal.CAUSE_PRESENT
     if situation.slack:
         return Refusal.SLACK
     if not CARRY_S[0] <= situation.carry_s <= CARRY_S[1]:
         return Refusal.OUT_OF_RANGE
-    return Refusal.DISAGREE if situation.disagree else Refusal.NONE
+    return witness_known(situation)
+
+
+def motor_may_lower(situation: Situation) -> Refusal:
+    """The rope is tight, and with a brake that does not hold one witness is named or both agree."""
+    if situation.slack:
+        return Refusal.ALREADY
+    return witness_known(situation) if situation.brake_fails else Refusal.NONE
+
+
+def witness_known(situation: Situation) -> Refusal:
+    """The drive is fit to carry, and the operator has named a witness, or encoder and tension agree."""
+    if situation.drive_unfit:
+        return Refusal.DRIVE_STATE
+    if situation.by not in _WITNESSES:
+        return Refusal.OUT_OF_RANGE
+    return Refusal.DISAGREE if situation.disagree and situation.by == Witness.BOTH else Refusal.NONE
+
+
+def brake_fails_to_carry(situation: Situation) -> Refusal:
+    """The brake is known not to hold, and the motor may carry."""
+    return motor_may_carry(situation) if situation.brake_fails else Refusal.WRONG_MODE
+
+
+def brake_fails_to_lower(situation: Situation) -> Refusal:
+    """The brake is known not to hold, and the motor may lower."""
+    return motor_may_lower(situation) if situation.brake_fails else Refusal.WRONG_MODE
 
 
 def drive_at_fault(situation: Situation) -> Refusal:
@@ -382,6 +420,7 @@ class Transition:
 
 CARRY_S = 1.0, 3600.0
 """Shortest and longest time of a CARRY."""
+_WITNESSES = frozenset(map(float, Witness))
 _ALIVE = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 _TIGHT = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING)
 
@@ -397,7 +436,7 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.RELEASING, Event.SLACK): Transition(Mode.HOLD, no_fault_latched),
     (Mode.FAULT, Event.RESET_HELD): Transition(Mode.HOLD, cause_gone),
     (Mode.FAULT, Event.RESET_OFF): Transition(Mode.DISARMED, cause_gone),
-    (Mode.FAULT, Event.LOWER): Transition(Mode.RELEASING, rope_tight),
+    (Mode.FAULT, Event.LOWER): Transition(Mode.RELEASING, motor_may_lower),
     (Mode.FAULT, Event.RELEASE): Transition(Mode.RELEASING, motor_carries),
     **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
     **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
@@ -438,6 +477,8 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     (Mode.COMPENSATING, Verb.MOVE): move_known,
     (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
     (Mode.FAULT, Verb.CARRY): motor_may_carry,
+    **{(mode, Verb.CARRY): brake_fails_to_carry for mode in (Mode.DISARMED, Mode.HOLD)},  # BRAKE_SLIPS is latched first
+    **{(mode, Verb.LOWER): brake_fails_to_lower for mode in (Mode.DISARMED, Mode.HOLD)},
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},
     **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
@@ -450,6 +491,8 @@ WHILE_DISARMING = frozenset({Verb.TARGET, Verb.GAINS, Verb.DISARM})
 """Commands that leave a DISARM under way as it is."""
 NEEDS_MOTOR = frozenset({Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER})
 """With the load on the brake, these first have the motor take it back."""
+CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
+"""Commands for a load that the brake does not hold."""
 
 _EVENT_OF = {
     Verb.TENSION: Event.TENSION,

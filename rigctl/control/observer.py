@@ -22,6 +22,7 @@ from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
 from rigctl.control.readback import Readback
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import status_stale_ns
 from rigctl.control.sensor_probe import ProbeFinding
@@ -68,6 +69,7 @@ class Observer:
     def __init__(
         self, settings: RigSettings, inbox: Inbox, outbox: Outbox, machine: Machine, law: TensionLaw, homed: Homed,
         readback: Readback, stroke_hold: StrokeHold, held_tension: HeldTension, signs: SignCheck, probe: NoProbe,
+        rope: RopeMemory,
     ) -> None:  # fmt: skip
         self.inbox = inbox
         self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
@@ -108,7 +110,7 @@ class Observer:
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
         self._take_up = TakeUp(settings)
-        self._standstill, self._sinking = Standstill(settings), Sinking(settings)
+        self._standstill, self._sinking = Standstill(settings), Sinking(settings, rope)
         self.power_off = PowerOffWatch(settings)
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake

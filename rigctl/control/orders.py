@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
+from rigctl.control.brake_flag import BrakeFlag
+from rigctl.control.carried_load import CarriedLoad
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import Kind, Unmeasured
@@ -18,12 +20,14 @@ from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb
+from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb, Witness
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.tension import Gains, TensionLaw
+from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
 from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text
 from rigctl.ipc.hold_socket import HoldAnswer
@@ -43,10 +47,15 @@ class _Waiting(NamedTuple):
     mode: Mode
 
 
+KNOWN_TEXT = " and is known not to hold, the motor has the load"
 RECHECK_NS = 600_000_000_000
 """A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
 _AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.CELL_ZERO | Check.SECOND_FORCE
 """Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
+_BARS_CARRY = Check.E_STOP | Check.E_STOP_IO | Check.DRIVE_STALE | Check.RIVAL
+"""Checks that bar a motor from carrying a load that its brake does not hold; all else concerns other motion."""
+_BY_CELL = Check.CELL_STALE | Check.CELL_INVALID | Check.CELL_IMPLAUSIBLE
+"""... and those that bar it where the cell alone is to show the load."""
 _SHOWS_DRIVE = frozenset({Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN})
 """Refusals whose reply has the state of the drive."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
@@ -73,6 +82,9 @@ class Orders:
         homed: Homed,
         learning: MoveLearning | None,
         holds: HoldSource,
+        brake: BrakeFlag,
+        carried: CarriedLoad,
+        rope: RopeMemory,
         *,
         supervised: bool,
     ) -> None:
@@ -88,6 +100,7 @@ class Orders:
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
         self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
+        self._brake, self._carried, self._rope = brake, carried, rope
         self._waiting: _Waiting | None = None
         self._parked_ns: int | None = None  # when the brake took the load of an armed rig
         self._recheck = False  # a fault has been reset since the last read-back of every object
@@ -171,6 +184,11 @@ class Orders:
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
+            tested_again = self._brake.fails  # a load on a brake that fails the test for the second time is the motor's
+            self._brake.set("the brake test has failed")
+            if tested_again and not self._barring(Verb.CARRY):
+                self._carried.begin(Witness.BOTH, self._watch.standing, snapshot)
+                machine.carry_back(t_ns)
         elif step is arming.ArmingStep.LATE or self._barring() & ~arming.AWAITED_CHECKS:
             machine.refuse_pending(Refusal.PREFLIGHT)
         elif step is arming.ArmingStep.READY:
@@ -178,6 +196,8 @@ class Orders:
             if sequence.tested is not None:
                 held = int(sequence.tested)
                 self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, sequence.moved_mm, number(sequence.tension_n))
+                if held:
+                    self._brake.tested(sequence.tension_n)
 
     def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
@@ -255,7 +275,17 @@ class Orders:
         """Checks that fail now of those that the command under way must pass; ``verb``: of one already answered."""
         if (verb or self._machine.pending) is Verb.ARM:
             return self.failed_checks(near_end=self._near_end)
-        return self.failed_checks() & ~_AT_ARM_ONLY
+        failing = self.failed_checks()
+        if (verb or self._machine.pending) in modes.CARRIES and (self._brake.fails or self._carried.named):
+            return failing & self._bars_carry()
+        return failing & ~_AT_ARM_ONLY
+
+    def _bars_carry(self) -> Check:
+        """Checks that bar moving the load by the witness of now."""
+        standing, snapshot = self._watch.standing, self._observer.snapshot
+        by = self._carried.choose(standing, snapshot)
+        bars = _BARS_CARRY if by is Witness.ENCODER else _BARS_CARRY | Check.TENSION_HIGH
+        return bars | _BY_CELL if by is Witness.CELL else bars
 
     @property
     def _verified_at_start(self) -> bool:
@@ -298,7 +328,8 @@ class Orders:
             return machine.mode is Mode.DISARMED and not (
                 self.failed_checks(near_end=values["near_end"] == 1.0) & ~judged_later
             )
-        if verb not in modes.NEEDS_MOTOR or machine.mode is not Mode.HOLD or self._parked_ns is None:
+        needs_motor = verb in modes.NEEDS_MOTOR and verb not in modes.CARRIES
+        if not needs_motor or machine.mode is not Mode.HOLD or self._parked_ns is None:
             return False
         refused = modes.decide(machine.mode, verb, self._situation(verb, values)).refusal
         return refused is Refusal.NONE and (self._recheck or t_ns - self._parked_ns >= RECHECK_NS)
@@ -337,9 +368,13 @@ class Orders:
             armed=machine.armed,
             carried=machine.carry_until_ns > 0,
             e_stop=snapshot.e_stop != 0,
+            brake_fails=self._brake.fails,
             disagree=snapshot.sink_apart_mm > 0.0,
+            by=by if (by := values.get("by", 0.0)) == by else 0.0,
             drive_faulted=snapshot.drive_faulted,
-            slack=observer.slack,
+            drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
+            slack=observer.slack
+            and not (verb in modes.CARRIES and self._brake.fails and self._rope.slack_in_doubt(snapshot)),
             unloaded=abs(observer.inbox.reading_n) <= settings.tare_limit_n,
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
@@ -351,6 +386,8 @@ class Orders:
         if verb is Verb.ARM and not machine.pending:
             self._near_end = values["near_end"] == 1.0
         situation = self._situation(verb, values)
+        if verb in modes.CARRIES and machine.pending is not verb:
+            self._latch_slip(verb, situation, t_ns)
         fault, was_pending = machine.fault, machine.pending
         done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
         if machine.pending is verb and was_pending is not verb and not machine.resetting:
@@ -358,7 +395,9 @@ class Orders:
                 self.shown_checks = situation.failed_checks
             machine.awaiting = True
             self._taking, self._taken_s = None if verb is Verb.ARM else (id_, since_ns or t_ns), math.nan
-            self._sequence.begin(t_ns, arming=verb is Verb.ARM, at_rest=machine.mode is not Mode.FAULT)
+            self._sequence.begin(
+                t_ns, arming=verb is Verb.ARM, at_rest=machine.mode is not Mode.FAULT, brake_fails=self._brake.fails
+            )
         self.trial, self.powered_until_ns = None, 0
         self._values = values
         if machine.trial is not None:
@@ -373,6 +412,18 @@ class Orders:
             self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
+
+    def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
+        """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""
+        if modes.decide(self._machine.mode, verb, situation).refusal is not Refusal.NONE:
+            return
+        self._carried.begin(Witness(int(situation.by)), self._watch.standing, self._observer.snapshot)
+        if self._carried.named:
+            self._logbook.event(t_ns, Kind.WITNESS, self._carried.named, text=verb.name.encode())
+        if self._machine.mode is not Mode.FAULT:
+            trip = Trip(Fault.BRAKE_SLIPS, 0.0, 0.0, Action.HOLD, KNOWN_TEXT)
+            if self._machine.trip(trip, t_ns):
+                self._logbook.trip(t_ns, Kind.TRIP, trip)
 
     def acknowledged(self, fault: Fault, t_ns: int) -> None:
         """A latched fault has been reset."""

@@ -528,6 +528,14 @@ class Watch:
         self._look_again = not self._left.isdisjoint(watched.rows)
         return strongest
 
+    def strongest(self, snapshot: Snapshot, bits: int) -> Trip | None:
+        """Trip of the strongest row of these faults that has been bad for its persistence; None if none has."""
+        found = [row for row, stands in zip(self._rows, self._stands, strict=True) if stands and bits >> row.fault & 1]
+        if not found:
+            return None
+        row = max(found, key=lambda one: one.action)
+        return row.trip(row.value(snapshot), snapshot)
+
     def reports(self) -> RowReports:
         """Rows that began or ended since the last call."""
         if not (self._limits or self._causes):

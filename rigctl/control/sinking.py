@@ -7,6 +7,7 @@ from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import stopping_ns
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.snapshot import Snapshot
 
 STEP_NS = 100_000_000
@@ -27,8 +28,9 @@ class Sinking:
     tension by stiffness, beyond what both may be wrong. ``left_mm``: how far it may sink until the rope is slack.
     """
 
-    def __init__(self, settings: RigSettings) -> None:
+    def __init__(self, settings: RigSettings, rope: RopeMemory) -> None:
         plant = settings.plant
+        self._rope = rope
         self._stiffness = plant.slow_stiffness_n_mm
         self._slack_n = settings.tension.slack_n
         self._closed_ns = stopping_ns(settings) + settings.cylinder.brake_delay_ms * 1_000_000
@@ -46,7 +48,10 @@ class Sinking:
 
     def look(self, now_ns: int, snapshot: Snapshot) -> None:
         """One tick."""
-        self.left_mm = max(0.0, snapshot.tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
+        tension_n = snapshot.tension_n
+        if tension_n < self._slack_n and self._rope.slack_in_doubt(snapshot):
+            tension_n = self._rope.by_stroke_n(snapshot.stroke_mm)
+        self.left_mm = max(0.0, tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
         jumped = abs(snapshot.stroke_mm - self._last_mm) > JUMP_MM  # False for NaN
         self._last_mm = snapshot.stroke_mm
         if jumped or snapshot.off_ns < self._closed_ns or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n):

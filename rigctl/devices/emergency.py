@@ -41,6 +41,9 @@ CODES = {
     0x8250: "RPDO timeout",
     0x8700: "SYNC lost",
 }
+LASTING = frozenset({0x22, 0x23, 0x54, 0x71, 0x73})
+"""Upper bytes of the codes (CiA 402-2, 0x603F) of a short circuit, of power stage, brake and feedback: no motor that is
+to carry a load is switched on over them."""
 REGISTER = (
     "generic", "current", "voltage", "temperature", "communication", "device profile", "reserved bit", "manufacturer",
 )  # fmt: skip

@@ -91,6 +91,7 @@ class Flag(IntFlag):
     STOPPING = 64
     STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
     DRIVE_OFF = 8192  # the drive has reported a state without power for as long as its brake takes to close
+    BRAKE_FAILS = 16384  # the brake is known not to hold, see control.brake_flag
 
 
 RECORD = Slot("record", tuple(Field(row.name, row.code, row.unit, row.meaning) for row in RECORDED))
@@ -122,6 +123,7 @@ COMMAND = Slot(
         Field("regulated", "d", "", "RESPONSE: 1 only while COMPENSATING, 0 only in HOLD"),
         Field("move", "d", "", "MOVE: its number, 0 the move under way has ended"),
         Field("carry_s", "d", "s", "CARRY: how long the motor carries before it lowers the load"),
+        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.control.modes.Witness"),
         Field("zero_n", "d", "N", "ZERO: reading of the unloaded cell"),
         Field("scale", "d", "", "SCALE: factor of the cell's reading"),
         Field("overdue", "d", "", "OVERDUE, SCALE: 1 the calibration is overdue, 0 it is not"),

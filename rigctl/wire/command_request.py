@@ -17,7 +17,7 @@ from rigctl.config.quantity import significant
 from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Verb, Witness
 from rigctl.ipc.hold_socket import HELD, HoldAnswer
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
@@ -29,6 +29,8 @@ from rigctl.wire.user_name import LONGEST
 VERBS = {verb.name.lower(): verb for verb in Verb}
 REGULATED = {"hold": 0.0, "compensating": 1.0}
 """Where a RESPONSE may be measured, and the number in its slot."""
+WITNESSES = {"": Witness.BOTH, "encoder": Witness.ENCODER, "cell": Witness.CELL}
+"""What a CARRY or LOWER goes by, as the operator names it."""
 PAYLOAD_BYTES = 16_384  # room for a gain file
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
@@ -36,7 +38,8 @@ _ALLOWED_MORE = {
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
     Verb.MOVE: '{"operator": "NAME", "value": NUMBER}',
-    Verb.CARRY: '{"operator": "NAME", "value": SECONDS}',
+    Verb.CARRY: '{"operator": "NAME", "value": SECONDS} and "by": "encoder" or "cell"',
+    Verb.LOWER: '{"operator": "NAME"} and "by": "encoder" or "cell"',
     Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true, "creep_s": SECONDS',
     Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
     Verb.RESPONSE: '{"operator": "NAME"} and "where": "hold" or "compensating"',
@@ -59,6 +62,7 @@ class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
     near_end: bool = False
     creep_s: float | None = None
     where: str = ""
+    by: str = ""
     gain_file: str = ""
     name: str = ""
     run_id: str = ""
@@ -73,7 +77,7 @@ class Request:
     ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale, or the creep. ``creep_s``: it records
     the creep for so long, NaN for a mean. ``tight``: IDENTIFY needs a tight rope. ``near_end``: ARM at an end of the
     stroke, to drive away from it. ``where``: RESPONSE only in that mode, hold or compensating; empty for the mode that
-    it is in.
+    it is in. ``by``: CARRY or LOWER by encoder or cell alone; empty for both.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
     ``lease``: id of the lease it is given under, None without one.
     ``run_id``: run of the daemon it is meant for, empty for any.
@@ -92,6 +96,7 @@ class Request:
     where: str = ""
     run_id: str = ""
     creep_s: float = math.nan
+    by: str = ""
 
     @property
     def command(self) -> str:
@@ -101,14 +106,15 @@ class Request:
     @property
     def numbers(self) -> tuple[float, ...]:
         """The numbers in the command's slot, in the order of `rigctl.control.modes.VALUES`."""
-        return (self.number, self.creep_s) if self.verb is Verb.CALIBRATE else (self.number,)
+        second = {Verb.CALIBRATE: self.creep_s, Verb.CARRY: float(WITNESSES[self.by])}
+        return (self.number, second[self.verb]) if self.verb in second else (self.number,)
 
     @property
     def number(self) -> float:
         """The number in the command's slot of the ring."""
         options = {
             Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end),
-            Verb.RESPONSE: REGULATED.get(self.where, math.nan),
+            Verb.RESPONSE: REGULATED.get(self.where, math.nan), Verb.LOWER: float(WITNESSES[self.by]),
         }  # fmt: skip
         return options.get(self.verb, self.value)
 
@@ -178,13 +184,15 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     found = decoded(payload, _CommandPayload, allowed)
     operator = operator_of(found.operator)
     _, options = MEANINGS[verb]
-    for name in ("value", "shunt", "adopt", "tight", "near_end", "creep_s", "where", "gain_file", "name"):
+    for name in ("value", "shunt", "adopt", "tight", "near_end", "creep_s", "where", "by", "gain_file", "name"):
         if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, expected {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
         raise RequestError(f"found no gain file with a name, expected {allowed}")
     if found.where not in ("", *REGULATED):
         raise RequestError(f"found where: {found.where[:40]!r}, expected {' or '.join(REGULATED)}")
+    if found.by not in WITNESSES:
+        raise RequestError(f"found by: {found.by[:40]!r}, expected encoder or cell")
     if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY):
         raise RequestError(f"found no value, expected {allowed}")
     for number in (found.value, found.creep_s):

@@ -79,6 +79,8 @@ KINDS: dict[Kind, str] = {
     Kind.READ_BACK: "the devices' settings were read back before arming; a: how many, value: how long it took in s",
     Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
     "known in mm, null for none, text: why",
+    Kind.BRAKE_FLAG: "the brake is known not to hold (a: 1), or holds again (0); value: tension in N, text: why",
+    Kind.WITNESS: "the operator has named what the motor carries the load by; a: 1 encoder, 2 cell, text: command",
     Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
     Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
     Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
@@ -130,6 +132,7 @@ PAYLOAD: Rows = (
     ("tight", "boolean", "", "identify only a tight rope"),
     ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
     ("where", "string", "", "response only in that mode: hold or compensating"),
+    ("by", "string", "", "carry and lower by one witness alone: encoder or cell"),
     ("gain_file", "string", "", "text of a gain file"),
     ("name", "string", "", "its name, for the record"),
     ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
@@ -177,8 +180,8 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
     Verb.RESPONSE: ("excite the plant with a multisine and measure its frequency response", ("where",)),
     Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
-    Verb.CARRY: ("in FAULT the motor carries a load that the brake does not hold, so long", ("value",)),
-    Verb.LOWER: ("in FAULT the motor lowers such a load until the rope is slack", ()),
+    Verb.CARRY: ("the motor carries a load that the brake does not hold, so long", ("value", "by")),
+    Verb.LOWER: ("the motor lowers such a load until the rope is slack", ("by",)),
     Verb.MOVE: ("a move of the mechanism begins; 0: the one under way has ended", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }

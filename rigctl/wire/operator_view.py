@@ -76,6 +76,9 @@ _DOES = {
     "RELEASING": "lowers the tension until the rope is slack, then holds",
     "FAULT": "stroke to be held: {held}",
 }
+BRAKE_FAILS = "brake_fails"
+"""In ``flag_names``: the brake is known not to hold."""
+_ON_MOTOR = ("MOTOR", "TAKING", "NOTHING")
 _SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
 _RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
 
@@ -202,6 +205,8 @@ def _steps(
     if state.get("fault"):
         return _after_fault(state, causes, verbs, entry, lock_out)
     mode_name = str(state["mode"])
+    if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
+        return Instruction(_HALL), _on_brake_that_fails(state, verbs)
     if mode_name == "DISARMED":
         failing = list(((state.get("preflight") or {}).get("failing") or {}).values())
         barred = [Instruction(f"{_sentence(words)}") for words in failing[:2]]
@@ -222,7 +227,9 @@ def _after_fault(
     steps = []
     culprit = state.get("culprit")
     culprit = culprit if isinstance(culprit, dict) else {}
-    if state.get("power_off") == PowerOff.UNCONFIRMED.name:
+    if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
+        steps.append(_on_brake_that_fails(state, verbs))
+    elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
         steps.append(
             Instruction("Press the emergency stop and secure the load: nothing shows that the drive has no power.")
         )
@@ -244,6 +251,17 @@ def _after_fault(
     if entry == LOCK_OUT_FIRST:
         steps.append(Instruction("See that the hall is empty; take the lock-out off."))
     return *steps, Instruction(_reset(state, causes), "reset")
+
+
+def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> Instruction:
+    """The motor alone can hold the load; where it cannot be switched on, hands do from below."""
+    if not verbs["carry"]:
+        return Instruction("The brake does not hold the load: CARRY has the motor hold it, LOWER lowers it.", "carry")
+    slack_s = state.get("slack_s")
+    when = f"in about {slack_s:.0f} s" if isinstance(slack_s, int | float) else "at a time that is not known"
+    return Instruction(
+        f"Support the payload from below: the brake does not hold it ({verbs['carry']}), and the rope is slack {when}."
+    )
 
 
 def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> str:
@@ -276,7 +294,7 @@ def _entry(state: dict[str, Any], flags: list[str], lock_out: str) -> tuple[str,
     if "drive_enabled" in flags:
         return KEEP_OUT, "the drive is on, the stroke may move at any time"
     named = {str(state.get("fault")), *(str(cause.get("fault")) for cause in _active(state))}
-    if named & _SLIPPING:
+    if named & _SLIPPING or BRAKE_FAILS in flags:
         return KEEP_OUT, f"the brake does not hold the load: {held(state)}"
     unsafe = isinstance(state.get("slack_s"), int | float) or state.get("power_off") in _NOT_SHOWN
     if state.get("held_by") not in ("BRAKE", None) or unsafe:

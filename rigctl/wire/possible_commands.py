@@ -51,7 +51,7 @@ def possible(state: dict[str, Any], target_range_n: tuple[float, float] = (0.0, 
     situation = Situation(
         failed_checks=checks, cause_present=bool(active), stop_running="stopping" in flags,
         fault_latched=bool(fault), armed="drive_enabled" in flags,
-        e_stop=Fault.E_STOP in active,
+        e_stop=Fault.E_STOP in active, brake_fails="brake_fails" in flags,
         drive_faulted=bool(checks & Check.DRIVE_FAULT), wanted_n=target_range_n[0],
         target_min_n=target_range_n[0], target_max_n=target_range_n[1], carry_s=CARRY_S[0],
     )  # fmt: skip

@@ -16,6 +16,7 @@ from rigctl.control.machine import Machine
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Readback
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import StrokeHold
 from rigctl.control.tension import Gains, TensionLaw
@@ -27,6 +28,6 @@ def alone(settings: RigSettings) -> tuple[Observer, Inbox, SimpleNamespace]:
     observer = Observer(
         settings, inbox, cast("Outbox", sent), Machine(), TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
         Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),
-        HeldTension(settings), SignCheck(settings), NoProbe(settings),
+        HeldTension(settings), SignCheck(settings), NoProbe(settings), RopeMemory(settings),
     )  # fmt: skip
     return observer, inbox, sent

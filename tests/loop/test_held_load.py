@@ -151,8 +151,8 @@ def test_a_slip_unseen_by_the_encoder_is_not_reset_while_it_goes_on(settings: Ri
         assert rig.command(Verb.RESET) is Refusal.NONE
 
 
-def test_a_carry_ends_on_the_brake_once_encoder_and_tension_disagree(settings: RigSettings, gains: Gains) -> None:
-    """They agreed when it began; then the encoder drifts, and the correction takes the load along."""
+def test_a_carry_corrects_nothing_once_encoder_and_tension_disagree(settings: RigSettings, gains: Gains) -> None:
+    """They agreed when it began; then the encoder drifts, and its correction would take the load along."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.HOLD)
         rig.run(3.0)
@@ -162,7 +162,7 @@ def test_a_carry_ends_on_the_brake_once_encoder_and_tension_disagree(settings: R
         assert rig.command(Verb.CARRY, 60.0) is Refusal.NONE
         rig.run(1.0)
         truth = Truth(rig)
-        play(rig, both(reads(STROKE, drift_s=0.3), reads(SPEED, plus=0.3)), 4.0)
+        play(rig, both(reads(STROKE, drift_s=0.3), reads(SPEED, plus=0.3)), 20.0)
         truth()
-        assert not rig.rig.drive.control.enabled
+        assert rig.rig.drive.control.enabled
         assert truth.kept, (truth.moved_mm, truth.changed)

@@ -96,6 +96,8 @@ def _records(records: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
 
 
 def _events(events: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
+    added = [kind for kind in Kind if f"Kind.{kind.name}" in name_map.ADDED]
+    events = events[~np.isin(events["kind"], added)]
     names = [_member(Kind(int(kind))) for kind in events["kind"]]
     yield "order", _digest(_plain(events["t_ns"]) + "\n".join(names).encode())
     for kind in sorted({Kind(int(number)) for number in events["kind"]}):

@@ -242,7 +242,7 @@ def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission()
 GIVEN = {
     Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n creep_s", Verb.IDENTIFY: "tight",
     Verb.CONFIRM_STROKE: "stroke_mm", Verb.RESPONSE: "regulated", Verb.MOVE: "move",
-    Verb.CARRY: "carry_s",
+    Verb.CARRY: "carry_s by", Verb.LOWER: "by",
     Setting.ZERO: "zero_n zero_c zero_n_k second_zero_n",
     Setting.SCALE: "scale overdue second_scale", Setting.CREEP: "creep_1 creep_1_s creep_2 creep_2_s creep_held_s",
     Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",

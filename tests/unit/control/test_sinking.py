@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.sinking import AGREES_MM, AGREES_SHARE, Sinking
 from rigctl.control.snapshot import Snapshot
 from tests.builders.paths import ROOT
@@ -19,7 +20,7 @@ Path = Callable[[float], float]
 
 def after(seconds: float, stroke_mm: Path, tension_n: Path) -> Sinking:
     """What is found after so long on the closed brake; both paths are functions of the time in s."""
-    found = Sinking(SETTINGS)
+    found = Sinking(SETTINGS, RopeMemory(SETTINGS))
     for tick in range(round(1000 * seconds) + 1):
         t = 1e-3 * tick
         found.look(tick * MS, Snapshot(stroke_mm=stroke_mm(t), tension_n=tension_n(t), off_ns=HOUR_NS))
@@ -71,7 +72,7 @@ def test_the_rope_is_slack_after_the_stretch_above_that_limit() -> None:
 
 
 def test_a_motor_that_may_hold_and_a_position_that_jumps_begin_anew() -> None:
-    found = Sinking(SETTINGS)
+    found = Sinking(SETTINGS, RopeMemory(SETTINGS))
     for tick in range(2000):
         found.look(tick * MS, Snapshot(stroke_mm=50.0 - 3e-4 * tick, tension_n=300.0, off_ns=HOUR_NS))
     assert found.speed_mm_s == pytest.approx(-0.3, rel=1e-6)

@@ -284,7 +284,7 @@ class Rig(RuleBasedStateMachine):
         if power is Power.CUT:
             assert machine.action is Action.POWER_OFF
         if power in (Power.RESET, Power.RESET_LOW):
-            assert self.faulted and machine.resetting
+            assert self.faulted and (machine.resetting or (machine.taking and machine.carries))
 
     @invariant()
     def every_change_of_mode_is_told(self) -> None:

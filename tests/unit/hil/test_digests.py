@@ -43,7 +43,8 @@ def run() -> Run:
 
 
 @pytest.fixture
-def digests(run: Run) -> Digests:
+def digests(run: Run, monkeypatch: pytest.MonkeyPatch) -> Digests:
+    monkeypatch.setattr(name_map, "ADDED", frozenset())
     return digests_of(run)
 
 
@@ -123,13 +124,15 @@ def test_a_renamed_member_is_hashed_under_the_name_before(
 def test_what_one_side_alone_has_is_left_out_where_it_is_named(
     run: Run, digests: Digests, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(name_map, "ADDED", frozenset({"records/sink_mm_s", "Flag.DRIVE_OFF"}))
+    monkeypatch.setattr(name_map, "ADDED", frozenset({"records/sink_mm_s", "Flag.DRIVE_OFF", "Kind.TRIP"}))
     without = digests_of(run)
+    untripped = replace(run, events=run.events[run.events["kind"] != Kind.TRIP])
+    assert digests_of(untripped)["events"] == without["events"]
     assert "sink_mm_s" not in without["records"]
     flags = run.records.copy()
     flags["flags"] &= ~np.uint16(Flag.DRIVE_OFF)
     assert digests_of(replace(run, records=flags))["records"]["flags"] == without["records"]["flags"]
-    assert "records/sink_mm_s" in moved(without, digests)
+    assert {"records/sink_mm_s", "events/order", "events/TRIP.a"} <= moved(without, digests)
     monkeypatch.setattr(name_map, "REMOVED", frozenset({"records/sink_mm_s"}))
     assert "records/sink_mm_s" not in moved(without, digests)
 

@@ -65,7 +65,14 @@ def test_every_kind_of_event_and_every_note_is_there_with_its_fields() -> None:
 def test_every_verb_is_there_with_just_what_it_takes() -> None:
     verbs, rows = SCHEMA["commands"]["verbs"], described(SCHEMA["commands"]["payload"])
     assert set(verbs) == {verb.name.lower() for verb in Verb}
-    examples = {"value": 300.0, "creep_s": 600.0, "gain_file": "text", "name": "gains.yaml", "where": "hold"}
+    examples = {
+        "value": 300.0,
+        "creep_s": 600.0,
+        "gain_file": "text",
+        "name": "gains.yaml",
+        "where": "hold",
+        "by": "cell",
+    }
     required = {
         "target": {"value"},
         "confirm_stroke": {"value"},
