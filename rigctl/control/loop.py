@@ -203,7 +203,10 @@ class Loop:
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
-        trip = self._judge(t_ns)
+        trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
+        self._rope.look(self._watch.standing, snapshot)
+        load = machine.fault is not Fault.NONE or not snapshot.drive_enabled  # the brake has it, or may get it
+        trip = self._look_at_brake(t_ns, trip) if load else trip
         self._undo_parking(t_ns)
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
@@ -442,14 +445,10 @@ class Loop:
             self._carried.begin(Witness.BOTH, self._watch.standing, self.observer.snapshot)
         first.end()
 
-    def _judge(self, t_ns: int) -> Trip | None:
-        """What trips now; and whether the brake is known not to hold."""
-        machine, snapshot, brake = self.machine, self.observer.snapshot, self.brake
-        trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
-        standing = self._watch.standing
-        self._rope.look(standing, snapshot)
-        if standing or not snapshot.drive_enabled:
-            brake.look(standing, snapshot, braked=snapshot.drive_off and self.observer.braked)
+    def _look_at_brake(self, t_ns: int, trip: Trip | None) -> Trip | None:
+        """Whether the brake is known not to hold; returns what trips then of what trips now."""
+        snapshot, brake = self.observer.snapshot, self.brake
+        brake.look(self._watch.standing, snapshot, braked=snapshot.drive_off and self.observer.braked)
         if brake.changed:
             self._take_note_of_brake(t_ns)
         return self._trip_of_carried(snapshot) if self._on_motor else trip
@@ -542,7 +541,7 @@ class Loop:
     def _escalate(self, t_ns: int) -> None:
         """Follow a reaction that has not helped against the latched fault by the next stronger one."""
         machine, slack = self.machine, self.observer.slack
-        if self._on_motor:  # what ends that is decided by `_trip_of_carried`
+        if machine.fault is not Fault.NONE and self._on_motor:  # what ends that is decided by `_trip_of_carried`
             return
         over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
         action = Action.HOLD if over else machine.action
