@@ -26,7 +26,7 @@ from rigctl.recorder import part_seal, parts
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.chain import ChainError, read_line
-from rigctl.recorder.file_reader import RecordingError, progress_of
+from rigctl.recorder.file_reader import RecordingError, progress_of, run_of
 from rigctl.recorder.mcap_file import ATTACHED, slot_readers
 from rigctl.recorder.part_file import PartFile
 from rigctl.recorder.sources import AuditedRings
@@ -73,15 +73,18 @@ class Continuous:
         """Why nothing is recorded now; empty while recording."""
         self.deleted: list[str] = []
         """Old parts that were deleted, for the audit log."""
-        self._number, self._safe = self._left_off(settings.audit_log)
+        self.run_number, self._number, self._safe = self._left_off(settings.audit_log)
         self._words = AuditedRings(runtime, self._safe)
         self._go_back(self._safe)
 
     # -- resumption ---------------------------------------------------------------------------------------------
-    def _left_off(self, audit_log: pathlib.Path) -> tuple[int, dict[str, int]]:
-        """Number of the last part of this run, and the position of each ring in it."""
-        stamp = parts.path_of(self.folder, self._settings.rig, self._run, 0).name.rsplit("-", 1)[0]
-        mine = [part for part in parts.parts(self.folder, self._settings.rig) if part.path.name.startswith(stamp)]
+    def _left_off(self, audit_log: pathlib.Path) -> tuple[int, int, dict[str, int]]:
+        """Number of this run and of its last part, 0 without a part, and the position of each ring in that."""
+        found = parts.parts(self.folder, self._settings.rig)
+        mine = [part for part in found if part.run and part.start == parts.stamp(self._run)]
+        # A clock that starts in 1970 may have given another run the same start.
+        run = next((part.run for part in reversed(mine) if run_of(part.path) == self._run), 0)
+        mine = [part for part in mine if part.run == run]
         read: dict[str, int] = {}
         for part in reversed(mine):
             with contextlib.suppress(RecordingError):
@@ -90,7 +93,7 @@ class Continuous:
         if read.get("audit"):
             self._audit_written = read["audit"]
             self.audit(_lines_after(audit_log, read["audit"]))
-        return (mine[-1].number if mine else 0), read
+        return run, (mine[-1].number if mine else 0), read
 
     def _go_back(self, read: dict[str, int]) -> None:
         for topic, reader in self._slots.items():
@@ -166,7 +169,8 @@ class Continuous:
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             current = part.disk.path if part is not None else None
-            self.deleted += parts.delete_old(self.folder, self._settings.rig, current, own.keep_mb * 1_000_000 - room)
+            keep_bytes = own.keep_mb * 1_000_000 - room
+            self.deleted += parts.delete_old(self.folder, self._settings.rig, self.run_number, current, keep_bytes)
             free = parts.free_bytes(self.folder)
         except OSError as error:
             self.why = f"{self.folder} cannot be written: {error.strerror}"
@@ -180,8 +184,10 @@ class Continuous:
 
     def _open(self, now_ns: int, wall_ns: int) -> None:
         rig, number = self._settings.rig, self._number + 1
+        if number == 1:
+            self.run_number = parts.next_run(parts.parts(self.folder, rig))
         try:
-            disk = Appender(parts.path_of(self.folder, rig, self._run, number))
+            disk = Appender(parts.path_of(self.folder, rig, self.run_number, self._run, f"{number:04d}"))
         except OSError as error:
             self._failed += 1
             self.why = f"{self.folder} cannot be written: {error.strerror}"

@@ -226,6 +226,15 @@ def _seal(data: mmap.mmap, scan: Scan, piece: Piece) -> FoundSeal | None:
     return None
 
 
+def run_of(path: pathlib.Path) -> int | None:
+    """Wall clock in ns at the start of the run of a file, from its head; None if the file cannot be read."""
+    with contextlib.suppress(RecordingError, DamageError, StopIteration, KeyError, ValueError), _mapped(path) as data:
+        scan = _scan(data, path)
+        head = next(piece for piece in scan.pieces() if piece.opcode == Opcode.METADATA)
+        return int(scan.content(head)[0].metadata["run"])
+    return None
+
+
 def progress_of(path: pathlib.Path) -> dict[str, int]:
     """Position of each ring in a file, from the last whole chunk that has it; empty if none has.
 

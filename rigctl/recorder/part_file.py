@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import platform
 from collections.abc import Callable, Iterable, Mapping
 from importlib import metadata
@@ -24,6 +25,7 @@ _LIBRARIES = (
 )  # fmt: skip
 
 
+@functools.cache
 def versions() -> dict[str, str]:
     """Versions of Python and of the installed libraries."""
     found = {"rigctl": __version__, "python": platform.python_version()}

@@ -31,7 +31,7 @@ from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, SUPERVISOR, Doing
 from rigctl.ipc.termination import Termination
-from rigctl.recorder import audit_host, sealed_head
+from rigctl.recorder import audit_host, parts, sealed_head
 from rigctl.recorder.audit_host import AuditHost
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item
 from rigctl.recorder.chain import read_line
@@ -44,6 +44,7 @@ POLL_S = 0.05
 RETRY_NS = 1_000_000_000
 PUBLISH_NS = 1_000_000_000
 KEEP_STROKE_NS = 1_000_000_000
+ORDER_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept while the disk fails; beyond it the rings hold the data
 HOST_LIMIT_S = 1.0  # for the last heads to leave
 LAST_ENTRY_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
@@ -119,6 +120,8 @@ class Recorder:
         self._records = runtime.records.reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
         self._failures = 0  # of the recording, already reported
+        self._misordered: dict[str, str] = {}  # words by the name's part that a run's files share
+        self._order_ns = 0
         self._supervisor = Stall()
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
@@ -135,6 +138,7 @@ class Recorder:
         self._keep_stroke(now_ns, wall_ns, final=final)
         self._watch_host(now_ns, wall_ns)
         self._watch_supervisor(now_ns, wall_ns)
+        self._watch_order(now_ns, wall_ns)
         self._publish(now_ns)
 
     def close(self, now_ns: int, wall_ns: int) -> None:
@@ -214,6 +218,20 @@ class Recorder:
             kind = Doing.PROCESS_RESUMED if is_over else Doing.PROCESS_STALLED
             what, text = supervision.worded(kind, SUPERVISOR, reason)
             self._add(self._own(now_ns, wall_ns, what, text, {"process": SUPERVISOR, "reason": reason}))
+
+    def _watch_order(self, now_ns: int, wall_ns: int) -> None:
+        """Report files whose name contradicts the wall clock, or the number of the running run."""
+        if now_ns < self._order_ns:
+            return
+        self._order_ns = now_ns + ORDER_NS
+        rig, recording = self._settings.rig, self._recording
+        found = parts.misordered(parts.dumps(self._trips.folder, rig), wall_ns)
+        if recording is not None:
+            found |= parts.misordered(parts.parts(recording.folder, rig), wall_ns, recording.run_number)
+        for name in found.keys() - self._misordered.keys():
+            _say(f"WARNING: {found[name]}")
+            self._add(self._own(now_ns, wall_ns, "misordered", found[name], {"run": name}))
+        self._misordered = found
 
     def _own(self, now_ns: int, wall_ns: int, what: str, text: str, details: dict[str, Any]) -> Item:
         return Item(now_ns, wall_ns, what, text, details=details)
@@ -303,7 +321,7 @@ class Recorder:
             "trips": str(self._trips.folder),
             "recording": self._recording.as_dict() if self._recording is not None else None,
             "failures": self.trouble.count,
-            "warnings": [f"recorder: {why}" for why in self.trouble.now.values()],
+            "warnings": [f"recorder: {why}" for why in (*self.trouble.now.values(), *self._misordered.values())],
         }
         if not at_once and figures == self._published and now_ns < self._publish_ns:
             return

@@ -25,8 +25,7 @@ from rigctl.control.modes import Mode
 from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
-from rigctl.recorder import part_seal
-from rigctl.recorder.audit_log import moment
+from rigctl.recorder import part_seal, parts
 from rigctl.recorder.mcap_file import ATTACHED, McapFile, slot_readers
 from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
@@ -134,8 +133,8 @@ class Trips:
             OSError: it could not be written; no part of it is left.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        stamp = moment(group.triggers[0].t_ns + wall_offset_ns).replace("-", "").replace(":", "")
-        path = self.folder / f"{self._settings.rig}-{stamp}-{group.fault}.mcap"
+        number, wall_ns = parts.next_run(self.dumps()), group.triggers[0].t_ns + wall_offset_ns
+        path = parts.path_of(self.folder, self._settings.rig, number, wall_ns, group.fault)
         part = path.with_name(f".{path.name}.part")
         try:
             part.unlink(missing_ok=True)
@@ -149,7 +148,7 @@ class Trips:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
             raise
-        return Dump(path, group, records, frames, self._delete_old())
+        return Dump(path, group, records, frames, self._delete_old(path))
 
     def _fill(self, stream: IO[bytes], group: Group, offset_ns: int, audit: dict[str, Any]) -> tuple[int, int]:
         runtime, wall_ns = self._runtime, group.triggers[0].t_ns + offset_ns
@@ -191,17 +190,18 @@ class Trips:
         file.finish(part_seal.sealer(self._settings))
         return len(slots["records"]), len(slots["frames"])
 
-    def names(self) -> list[str]:
+    def dumps(self) -> list[parts.RecordingPart]:
         """Dumps of this rig in the folder, oldest first."""
-        return sorted(path.name for path in self.folder.glob(f"{self._settings.rig}-[0-9]*.mcap"))
+        return parts.dumps(self.folder, self._settings.rig)
 
-    def _delete_old(self) -> tuple[str, ...]:
-        """Delete all but the newest ``trips_kept`` dumps; a file that cannot be deleted stays."""
+    def _delete_old(self, written: pathlib.Path) -> tuple[str, ...]:
+        """Delete all but the newest ``trips_kept`` dumps, and never the one just written; others may have to stay."""
+        old = [dump.path for dump in self.dumps() if dump.path != written]
         deleted = []
-        for name in self.names()[: -self._settings.audit.trips_kept]:
+        for path in old[: max(0, len(old) + 1 - self._settings.audit.trips_kept)]:
             with contextlib.suppress(OSError):
-                (self.folder / name).unlink()
-                deleted.append(name)
+                path.unlink()
+                deleted.append(path.name)
         return tuple(deleted)
 
     def sweep(self) -> None:

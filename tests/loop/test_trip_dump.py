@@ -116,7 +116,7 @@ def test_a_dump_holds_every_record_and_frame_from_10_s_before_to_2_s_after(kept:
     rig.run(0.5)
     kept.poll()
     (file,) = kept.files()
-    assert file.name.startswith("paper_rig-20231114T2213")
+    assert file.name.startswith("paper_rig-000001-20231114T2213")
     assert file.name.endswith("Z-CELL_STALE.mcap")
     topics, attached, words = read(file)
 
