@@ -45,15 +45,18 @@ def doctor(file: File = None, json: Json = False, connect: Connect = None, rig: 
 def examine(settings: RigSettings | None, connect: str | None, rig: str | None) -> list[DoctorFinding]:
     """Every finding; without a rig file the daemon's settings are used."""
     from rigctl.cli import doctor_can, doctor_daemon, doctor_host, doctor_keys
+    from rigctl.ipc import ledger, wall_clock
     from rigctl.ipc.runtime_folder import BASE
 
     state, active, why = _ask(settings, connect, rig)
     own = settings if settings is not None else _settings_of(active)
-    findings = doctor_host.host(own)
+    now, design = datetime.now(UTC), active.get("design") if active is not None else None
+    doubt = ledger.clock_doubt(own, design, now) if own is not None else wall_clock.doubt(now, {})
+    findings = doctor_host.host(own, doubt=doubt)
     findings.append(doctor_host.other_daemons(own, BASE))
     if own is not None:
         findings += doctor_can.link(own.can)
-        findings += doctor_keys.reach(own, datetime.now(UTC))
+        findings += doctor_keys.reach(own, now)
     if active is not None and state is not None:
         return findings + doctor_daemon.running(state, active, settings)
     lacks = doctor_host.fails if connect is not None else doctor_host.warning

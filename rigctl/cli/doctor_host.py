@@ -68,8 +68,8 @@ def fails(name: str, found: str, wanted: str, fix: str = "") -> DoctorFinding:
     return DoctorFinding(name, Severity.FAILS, found, wanted, fix)
 
 
-def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[DoctorFinding]:
-    """Findings that apply to every rig; ``settings`` give the loop's processor."""
+def host(settings: RigSettings | None, root: pathlib.Path = ROOT, *, doubt: str = "") -> list[DoctorFinding]:
+    """Findings that apply to every rig; ``settings`` give the loop's processor; ``doubt``: of the wall clock."""
     cpu = settings.loop.cpu if settings is not None else None
     locked = settings is None or settings.loop.lock_memory
     return [
@@ -79,7 +79,7 @@ def host(settings: RigSettings | None, root: pathlib.Path = ROOT) -> list[Doctor
         isolation(root, cpu),
         memory(root),
         swap(root, locked=locked),
-        clock_sync(*_adjtimex()),
+        clock_sync(*_adjtimex(), doubt),
         python(),
         versions(),
     ]
@@ -160,8 +160,11 @@ def swap(root: pathlib.Path, *, locked: bool) -> DoctorFinding:
     return warning("swap", used, "none, or loop.lock_memory", "swapoff -a, or lock_memory: true")
 
 
-def clock_sync(synchronised: bool, error_ms: float) -> DoctorFinding:
-    """The wall clock, which due dates and recorded times use, and the loop does not."""
+def clock_sync(synchronised: bool, error_ms: float, doubt: str) -> DoctorFinding:
+    """The wall clock, which due dates and recorded times use, and the loop does not; ``doubt``: see `wall_clock`."""
+    if doubt:
+        found, _, fix = doubt.partition(": ")
+        return warning("wall clock", found, "a time after every date on record", fix)
     if synchronised:
         return good("wall clock", f"synchronised, at most {error_ms:.0f} ms off")
     return warning("wall clock", "not synchronised", "synchronised", "start chronyd, ntpd or systemd-timesyncd")

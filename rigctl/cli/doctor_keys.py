@@ -28,6 +28,9 @@ def reach(settings: RigSettings, now: datetime.datetime) -> list[DoctorFinding]:
         return [fails(name, str(error), "a key folder", "rigctl keys --help")]
     last = {one.name: one.not_after for one in valid}  # the newest of a name is the last of its name
     last |= {"gateway": until}
+    if early := [one.name for one in valid if one.not_before > now]:
+        found = f"keys are not yet valid by this computer's clock, which reads {now:%Y-%m-%d}: {', '.join(early)}"
+        return [warning(name, found, "keys that are valid", "set the clock")]
     ending = [holder for holder, end in last.items() if end - now < SOON]
     if ending:
         found = f"keys end within {SOON.days} days: {', '.join(ending)}"

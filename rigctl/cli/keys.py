@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import pathlib
+import sys
 from collections.abc import Callable
 from enum import Enum
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +15,7 @@ from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
 from rigctl.identity.credentials import CredentialsError
 from rigctl.identity.key_folder import HostError, KeyFolder, KeyFolderError
 from rigctl.identity.roles import GATEWAY_NAME, Role
+from rigctl.ipc import wall_clock
 
 if TYPE_CHECKING:
     from rigctl.identity.access_file import Certified
@@ -71,11 +73,14 @@ def keys(
         end(USAGE, f"found --role {role[:40]!r}, expected {', '.join(ROLES)}")
     if host and task is not KeysTask.RENEW and task is not KeysTask.INIT and role != Role.PAGE.value:
         end(USAGE, f"found --host, expected with init, with --role {Role.PAGE.value}, or with renew of such a key")
+    now = datetime.datetime.now(datetime.UTC)
+    if why := wall_clock.unset(now):
+        sys.stderr.write(f"WARNING: {why}: keys are valid from and until dates of this clock; set it\n")
     try:
         if task is KeysTask.LIST:
-            _list(KeyFolder(folder), json)
+            _list(KeyFolder(folder), now, json)
         else:
-            _change(task, name or "", Role(role or "viewer"), folder, days, host or [], json)
+            _change(task, name or "", Role(role or "viewer"), folder, now, days, host or [], json)
     except HostError as error:
         end(USAGE, str(error))
     except (KeyFolderError, CredentialsError) as error:
@@ -84,11 +89,18 @@ def keys(
 
 
 def _change(
-    task: KeysTask, name: str, role: Role, folder: pathlib.Path, days: int | None, hosts: list[str], json: bool
+    task: KeysTask,
+    name: str,
+    role: Role,
+    folder: pathlib.Path,
+    now: datetime.datetime,
+    days: int | None,
+    hosts: list[str],
+    json: bool,
 ) -> None:
     from rigctl.identity.issuing import GATEWAY_DAYS, PERSON_DAYS, KeyIssuer
 
-    issuer = KeyIssuer(folder, datetime.datetime.now(datetime.UTC))
+    issuer = KeyIssuer(folder, now)
     if task is KeysTask.REVOKE:
         count = issuer.revoke(name)
         if json:
@@ -118,8 +130,7 @@ def _made(issuer: KeyIssuer, made: Certified) -> str:
     return f"{file}: key of {made.name}, {made.role.value}, {until}; hand it over, then delete it here"
 
 
-def _list(folder: KeyFolder, json: bool) -> None:
-    now = datetime.datetime.now(datetime.UTC)
+def _list(folder: KeyFolder, now: datetime.datetime, json: bool) -> None:
     found = folder.certificates()
     if json:
         say_json([_row(one) | {"standing": one.standing(now)} for one in found])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import datetime
 import pathlib
+import sys
 import time
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated
@@ -120,6 +121,10 @@ def check(file: File, json: Json = False) -> None:
 
         design = design_in_use(used)
     lacking = _lacking(settings)
+    from rigctl.ipc import ledger
+
+    if doubt := ledger.clock_doubt(settings, design.as_dict(), datetime.datetime.now(datetime.UTC)):
+        sys.stderr.write(f"WARNING: {doubt}\n")
     if json:
         found = checking.as_dict(settings)
         accepted = found["accepted"] and design.accepted and not lacking

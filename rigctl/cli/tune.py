@@ -14,7 +14,7 @@ import typer
 from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
 from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, load_rig_file, say, wrong_usage
-from rigctl.ipc import output_file
+from rigctl.ipc import output_file, wall_clock
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
@@ -287,7 +287,10 @@ def _write(
     from rigctl.ipc.seal import SealError
 
     settings, found = tuned.settings, tuned.design
-    made = gain_file.provenance(settings, file, datetime.now(UTC))
+    now = datetime.now(UTC)
+    if why := wall_clock.unset(now):
+        sys.stderr.write(f"WARNING: {why}: the gains are dated by it; set it\n")
+    made = gain_file.provenance(settings, file, now)
     said = {"rig": settings.rig, **found.as_dict(), **advice, "provenance": made.model_dump()}
     text = msgspec.json.format(msgspec.json.encode(said), indent=2).decode()
     plain = tuned.plant is None and not tuned.replaces

@@ -41,6 +41,7 @@ from rigctl.client.stream import Stream
 from rigctl.client.stream_source import Question
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
+from rigctl.ipc import wall_clock
 from rigctl.wire import keys
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
@@ -96,8 +97,14 @@ def _open(route: Route, owned: Credentials | None) -> zenoh.Session:
     thread.start()
     thread.join(OPEN_S)
     if not opened:
-        raise NoDaemonError(f"no daemon answers at {route.given} ({ABSENT})")
+        raise NoDaemonError(f"no daemon answers at {route.given} ({ABSENT}{_clock(owned)})")
     return opened[0]
+
+
+def _clock(owned: Credentials | None) -> str:
+    """The further cause why nobody answers by TLS: this computer's clock, by which no certificate is valid."""
+    why = wall_clock.unset(datetime.datetime.now(datetime.UTC)) if owned is not None else ""
+    return f"; {why}: set the clock" if why else ""
 
 
 def _has_token(session: zenoh.Session, rig: str) -> bool:
@@ -139,8 +146,10 @@ def credentials_of(endpoint: str, key: pathlib.Path | str | None) -> Credentials
         owned = credentials.read(pathlib.Path(given))
     except CredentialsError as error:
         raise ChoiceError(str(error)) from None
-    if owned.not_after <= datetime.datetime.now(datetime.UTC):
-        raise ChoiceError(f"{given}: expired on {owned.not_after:%Y-%m-%d}: rigctl keys renew {owned.name}")
+    now = datetime.datetime.now(datetime.UTC)
+    if owned.not_after <= now:
+        clock = f"; {why}: set the clock" if (why := wall_clock.unset(now)) else ""
+        raise ChoiceError(f"{given}: expired on {owned.not_after:%Y-%m-%d}: rigctl keys renew {owned.name}{clock}")
     return owned
 
 

@@ -13,6 +13,7 @@ from datetime import datetime
 import numpy as np
 
 from rigctl.config.settings import RigSettings
+from rigctl.ipc import wall_clock
 from rigctl.ipc.ledger import Entry, Standing, moment
 
 COVERAGE = 2.0
@@ -67,7 +68,8 @@ def drifted_u_n(settings: RigSettings, now: Standing, cell_c: float | None, when
         return float(now.zero_u_n_k or 0.0) * abs(cell_c - now.zero_c)
     hours = WARMING_H
     if now.tared is not None:
-        hours = min(WARMING_H, max(0.0, (when - moment(now.tared)).total_seconds() / 3600.0))
+        age = wall_clock.age(moment(now.tared), when)
+        hours = WARMING_H if age is None else min(WARMING_H, max(0.0, age.total_seconds() / 3600.0))
     return TEMPERATURE_N_H * hours
 
 

@@ -21,7 +21,8 @@ import msgspec
 from rigctl.config import layout
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import HOST_CHECKS, Check
-from rigctl.ipc.ledger import CLOCKS_DIFFER, Standing, moment
+from rigctl.ipc import ledger, wall_clock
+from rigctl.ipc.ledger import Standing, moment
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 
 CONTROL = "control.json"
@@ -91,16 +92,16 @@ def judge(
 
 def folders(settings: RigSettings) -> list[Folder]:
     """Folders the rig file has written to: one for each disk, and each folder this process may not write to."""
-    ledger = settings.ledger
+    file = settings.ledger
     # In the installed service only the ledger is this process's to write; the recorder reports what it cannot.
     apart = layout.is_installed(settings.directory)
-    places = [*([ledger.parent] if ledger else []), settings.audit_log.parent, settings.kept(settings.audit.trips)]
+    places = [*([file.parent] if file else []), settings.audit_log.parent, settings.kept(settings.audit.trips)]
     found: dict[int, Folder] = {}
     for place in places:
         there = next((path for path in (place, *place.parents) if path.is_dir()), pathlib.Path("/"))
         try:
             free = os.statvfs(there)
-            judged = not apart or (ledger is not None and place == ledger.parent)
+            judged = not apart or (file is not None and place == file.parent)
             writable = not judged or os.access(there, os.W_OK | os.X_OK, effective_ids=True)
             disk = there.stat().st_dev if writable else -len(found) - 1
             found.setdefault(disk, Folder(place, free.f_bavail * free.f_frsize // MIB, writable))
@@ -114,7 +115,7 @@ def _calibration(settings: RigSettings, standing: Standing, now: datetime) -> st
         return ""
     if standing.due is None:
         return "no calibration check has passed: rigctl calibrate (or calibration.waiver)"
-    if standing.overdue or moment(standing.due) <= now:
+    if ledger.is_overdue(settings, standing.due, now):
         return f"calibration was due on {standing.due[:10]}: rigctl calibrate (or calibration.waiver)"
     return ""
 
@@ -125,8 +126,8 @@ def _tare(settings: RigSettings, standing: Standing, now: datetime) -> str:
         return ""
     if standing.tared is None:
         return "no tare on record: rigctl tare with the rope unloaded (or calibration.waiver)"
-    done = moment(standing.tared)
-    if done + timedelta(days=section.tare_days) <= now or done > now + CLOCKS_DIFFER:
+    age = wall_clock.age(moment(standing.tared), now)
+    if age is not None and age >= timedelta(days=section.tare_days):
         return f"the last tare is of {standing.tared[:10]}, one holds for {section.tare_days} days: rigctl tare"
     return ""
 

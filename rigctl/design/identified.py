@@ -26,7 +26,8 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.plant_section import MECHANISMS_N_MM
 from rigctl.config.settings import RigSettings
 from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Family, Member, sampled
-from rigctl.ipc.ledger import CLOCKS_DIFFER, Entry, entry_digest, moment
+from rigctl.ipc import wall_clock
+from rigctl.ipc.ledger import Entry, entry_digest, moment
 
 IDENTIFY, RESPONSE = "identify", "response"  # actions of the ledger whose figures are of the plant
 WINDOW = "margins"  # entry of the gateway where the margins measured each minute begin or cease to differ
@@ -168,11 +169,9 @@ def nearest(found: Sequence[Identified], tension_n: float) -> Identified:
 def outdated(found: Identified, settings: RigSettings, now: datetime) -> str | None:
     """Why an identification is too old to be believed, in one line; None if it is not."""
     days = settings.design.identify_days
-    age = now - moment(found.when)
-    if age > timedelta(days=days):
+    age = wall_clock.age(moment(found.when), now)
+    if age is not None and age > timedelta(days=days):
         return f"the identification of {found.when[:10]} is {age.days} days old, design.identify_days is {days}"
-    if age < -CLOCKS_DIFFER:
-        return f"the identification is dated {found.when[:10]}, in the future"
     return None
 
 

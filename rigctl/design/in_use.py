@@ -207,7 +207,9 @@ def _judged(
     loop = JudgedLoop(settings, Gains(**kept.gains.gains.model_dump()), kept.gains.plant)
     own = results.gains(settings)
     edited = not all(math.isclose(asdict(loop.gains)[k], g, rel_tol=SAME_GAIN) for k, g in asdict(own).items())
-    source = GainSource(name, kept.provenance.model_dump(), edited, kept.sealed)
+    plants = [gains.plant for gains in (kept.gains, *kept.gains.points)]
+    dates = tuple(plant.when for plant in plants if plant is not None)
+    source = GainSource(name, kept.provenance.model_dump(), edited, kept.sealed, dates)
     try:
         found = results.judged(loop).of_file(source)
         return found if given is None or not kept.gains.points else _scheduled(found, loop, results, given, kept, now)

@@ -64,6 +64,7 @@ class GainSource:
     provenance: dict[str, Any]  # as the file has it
     edited: bool  # the gains do not follow from its inputs
     seal: str = "no seal"
+    identified: tuple[str, ...] = ()  # date of each identification that they are for
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from rigctl.gateway.kept_places import KeptPlaces, local_users
 from rigctl.gateway.places import Rules
 from rigctl.identity.key_folder import KeyFolder
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.ipc import wall_clock
 from rigctl.ipc.writers import OPERATORS, VIEWERS
 from rigctl.wire.access_control import access_control
 from rigctl.wire.keys import Keys
@@ -34,8 +35,11 @@ class Admission:
         self.own_zid = f"1{secrets.token_hex(15)}"
         """Zenoh's id of the gateway's own session for commands; Zenoh takes no leading 0."""
         self._edition = self._folder.edition() if self._folder is not None else None
+        self._clock_unset = False
         self.keys = Keys(settings.rig, ANY_PERSON if self._folder is not None else "")
         """The rig's keys; with certificates those of the commands over TLS carry the person's name."""
+        self.dates: dict[str, datetime.datetime] = {}
+        """When the newest certificate in force began, by what it is of; TLS refuses it before, without a word."""
 
     def open_router(self, socket: str, *, again: bool) -> zenoh.Session:
         """Open the router; ``socket``: its second endpoint, for the gateway's own session and for this computer.
@@ -55,7 +59,9 @@ class Admission:
             return open_router(listen, join, access_control=access, patient=again)
         now = datetime.datetime.now(datetime.UTC)
         self._folder.check_gateway(now)
-        certificates = self._folder.certificates()
+        certificates, self._clock_unset = self._folder.certificates(), bool(wall_clock.unset(now))
+        newest = max((one for one in certificates if one.is_valid(now)), key=lambda one: one.not_before, default=None)
+        self.dates = {f"the certificate of {newest.name}": newest.not_before} if newest is not None else {}
         valid = [one for one in certificates if one.is_valid(now) and one.role in PEOPLE]
         commanding = [one.common_name for one in valid if one.role.includes(Role.OPERATOR)]
         known = local_users(OPERATORS, VIEWERS).union(one.common_name for one in valid)
@@ -68,5 +74,8 @@ class Admission:
         return KeptPlaces(session, [self._settings.telemetry.listen, socket], self._rules)
 
     def has_changed(self) -> bool:
-        """Whether the access list is another than when the router was opened."""
-        return self._folder is not None and self._folder.edition() != self._edition
+        """Whether the access list is another than when the router was opened, or a clock that it was made by is set."""
+        if self._folder is None:
+            return False
+        is_set = self._clock_unset and not wall_clock.unset(datetime.datetime.now(datetime.UTC))
+        return is_set or self._folder.edition() != self._edition

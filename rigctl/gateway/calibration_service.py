@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy.typing as npt
@@ -104,9 +105,9 @@ class CalibrationService:
         self.excited.poll()
         self.standing = in_force(self._runtime, self.standing)
         due = [*self._bring_together(now_ns, wall_ns)]
-        passed = self.standing.due is not None and self.standing.due <= ledger.utc(wall_ns)
-        if passed and not self.standing.overdue:
-            self._show(replace(self.standing, overdue=True))
+        overdue = ledger.is_overdue(self._settings, self.standing.due, datetime.fromtimestamp(wall_ns / 1e9, UTC))
+        if self.standing.due is not None and overdue != self.standing.overdue:
+            self._show(replace(self.standing, overdue=overdue))
             self._overdue_changed = True
         if self._overdue_changed:
             self._overdue_changed = False

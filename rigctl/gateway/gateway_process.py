@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from typing import Any
 
 import msgspec
@@ -48,7 +49,7 @@ from rigctl.gateway.streams import (
     past_messages,
 )
 from rigctl.identity.key_folder import KeyFolderError
-from rigctl.ipc import heap, standard_output
+from rigctl.ipc import heap, ledger, standard_output, wall_clock
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
@@ -84,8 +85,12 @@ _TAKEN_NS = 1_000_000_000  # without the endpoint of the network until another p
 class StateView:
     """Makes the state message."""
 
-    def __init__(self, runtime: Runtime, settings: RigSettings, active: ActiveConfiguration) -> None:
-        self._rig, self._active = settings.rig, active
+    def __init__(
+        self, runtime: Runtime, settings: RigSettings, active: ActiveConfiguration, dates: Mapping[str, datetime]
+    ) -> None:
+        """``dates``: of certificates, by what they are of."""
+        self._dates = dates
+        self._settings, self._active = settings, active
         self._recorder = ReplacedFile(runtime, RECORDED)
         self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
@@ -124,7 +129,13 @@ class StateView:
             self._design, of_design = design_of(self._active.written)
             self._recorder.read()
             self._kept, of_recorder = recorder_of(self._recorder.value, now_ns)
-            self._warnings = [*of_design, *warnings_of(self._active.control), *of_recorder, *self._stalled.look()]
+            now = datetime.now(UTC)
+            doubt = ledger.clock_doubt(self._settings, self._active.written.get("design"), now, standing)
+            doubt = doubt or wall_clock.doubt(now, self._dates)
+            self._warnings = [
+                *([doubt] if doubt else []), *of_design, *warnings_of(self._active.control), *of_recorder,
+                *self._stalled.look(),
+            ]  # fmt: skip
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
         wall_ns = time.time_ns() - now_ns
         causes = self._causes.of(record, wall_ns) if record is not None else []
@@ -133,7 +144,7 @@ class StateView:
             words.setdefault(Fault[cause["fault"]], cause["text"])
         self.standing = words
         own = {
-            "rig": self._rig,
+            "rig": self._settings.rig,
             "causes": causes,
             "culprit": culprit_of(self._culprit.of(record), causes, state),
             "samples_lost": samples_lost,
@@ -260,7 +271,7 @@ class Gateway:
 
         records = runtime.records.reader(from_start=True)
         self._cursor = Cursor(runtime.gateway_cursor, runtime.records.path, records.head)
-        self._view = view = StateView(runtime, settings, self._active)
+        self._view = view = StateView(runtime, settings, self._active, self._admission.dates)
         self._state = declare_publisher(self._session, keys.state, encoding=_JSON)
         self._configuration = declare_publisher(self._session, keys.active, encoding=_JSON)
         fast = declare_publisher(self._session, keys.fast)

@@ -41,8 +41,10 @@ class Certified(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return self.revoked is None and now < self.not_after
 
     def standing(self, now: datetime.datetime) -> str:
-        """``valid``, ``expired`` or ``revoked``."""
-        return "revoked" if self.revoked is not None else "valid" if self.is_valid(now) else "expired"
+        """``valid``, ``not yet valid``, ``expired`` or ``revoked``."""
+        if self.revoked is not None:
+            return "revoked"
+        return "expired" if not self.is_valid(now) else "valid" if self.not_before <= now else "not yet valid"
 
 
 @built

@@ -7,6 +7,7 @@ is believed.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import math
 import pathlib
@@ -22,7 +23,7 @@ from rigctl.config import input_file
 from rigctl.config.built_type import built
 from rigctl.config.one_line import printable
 from rigctl.config.settings import RigSettings
-from rigctl.ipc import seal, whole_file
+from rigctl.ipc import seal, wall_clock, whole_file
 from rigctl.ipc.correction import (
     CREEP_BOUND,
     CREEP_FASTEST_S,
@@ -39,7 +40,6 @@ CREEP = ("creep_1", "creep_1_s", "creep_2", "creep_2_s")
 """Names of the creep's shares and time constants in an entry."""
 _SEALED = seal.LEDGER  # what the seal is about
 _LARGEST_BYTES = 64 << 20  # a hundred years of a tare an hour
-CLOCKS_DIFFER = timedelta(days=1)  # at most, between the wall clocks of two starts
 
 
 class LedgerError(RuntimeError):
@@ -292,9 +292,8 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
         if _creep_of(item.after) is not None:
             crept = item.after
         if item.passed is not None:
-            done = moment(item.when)
-            credible = item.passed and done <= now + CLOCKS_DIFFER  # a check dated in the future would hold too long
-            due = done + timedelta(days=settings.calibration.due_days) if credible else None
+            valid = timedelta(days=settings.calibration.due_days)
+            due = min(moment(item.when), datetime.max.replace(tzinfo=UTC) - valid) + valid if item.passed else None
     shown = f"{due:%Y-%m-%dT%H:%M:%SZ}" if due is not None else None
     section = settings.compensation
     zero_n_k, zero_u_n_k = pair.get("zero_n_k") or 0.0, pair.get("zero_u_n_k")
@@ -304,7 +303,7 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
         pair["zero_n"] or 0.0,
         1.0 if pair["scale"] is None else pair["scale"],
         shown,
-        due is None or due <= now,
+        is_overdue(settings, shown, now),
         settings.calibration.waiver,
         _tared(entries),
         zero_u_n=pair.get("zero_u_n"),
@@ -318,6 +317,41 @@ def standing(settings: RigSettings, entries: Sequence[Entry], wall_ns: int) -> S
         second_zero_n=pair.get("second_zero_n"),
         second_scale=1.0 if pair.get("second_scale") is None else pair["second_scale"] or 1.0,
     )
+
+
+def is_overdue(settings: RigSettings, due: str | None, now: datetime) -> bool:
+    """Whether a calibration that is ``due`` then is overdue; not where `clock_doubt` warns of its age instead."""
+    if settings.calibration is None or due is None:
+        return settings.calibration is not None
+    valid = timedelta(days=settings.calibration.due_days)
+    age = wall_clock.age(moment(due) - valid, now)
+    return age is not None and age >= valid
+
+
+def clock_doubt(settings: RigSettings, design: object, now: datetime, known: Standing | None = None) -> str:
+    """See `wall_clock.doubt`, for the dates of ledger and gains.
+
+    ``design``: as in `ACTIVE`, if known. ``known``: None to read the ledger; one that cannot be read has no dates.
+    """
+    if known is None:
+        known = Standing()
+        with contextlib.suppress(LedgerError):
+            known = standing(settings, read(settings), round(now.timestamp() * 1e9))
+    found = {}
+    if settings.calibration is not None and known.due is not None:
+        found["the last calibration check"] = moment(known.due) - timedelta(days=settings.calibration.due_days)
+    if settings.calibration is not None and known.tared is not None:
+        found["the last tare"] = moment(known.tared)
+    match design:
+        case {"source": {"file": file, "provenance": {"date_utc": made}, "identified": [*identified]}}:
+            named = [
+                (f"the gains of {file}", made),
+                *((f"the identification of {str(at)[:10]}", at) for at in identified),
+            ]
+            for what, when in named:
+                with contextlib.suppress(ValueError):  # a gain file may have any text
+                    found[what] = moment(str(when))
+    return wall_clock.doubt(now, found)
 
 
 def _creep_of(values: dict[str, float | None]) -> tuple[CreepTerm, ...] | None:

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 
-from rigctl.ipc.ledger import CLOCKS_DIFFER
+from rigctl.ipc.wall_clock import CLOCKS_DIFFER
 from rigctl.recorder.audit_log import moment
 
 _STEM = r"(?P<rig>[a-z][a-z0-9_]*)-(?:(?P<run>\d{6,18})-)?(?P<start>\d{8}T\d{6}\.\d{3}Z)-"

@@ -16,6 +16,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 from types import FrameType
 from typing import IO, Any
 
@@ -190,6 +191,8 @@ class Supervisor:
             except OSError as error:
                 raise CannotRunError(f"{settings.rig}: {name} cannot be started: {error.strerror}") from None
         self._design()
+        if doubt := ledger.clock_doubt(settings, self._active["design"], datetime.now(UTC)):
+            self._say(f"WARNING: {doubt}")
         self._send_gains()
         limit_s = START_LIMIT_S + settings.start_up_limit_s
         until = time.monotonic() + limit_s

@@ -34,7 +34,7 @@ class Shown:
 
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
-        self.view = StateView(rig.runtime, rig.settings, ActiveConfiguration(rig.runtime))
+        self.view = StateView(rig.runtime, rig.settings, ActiveConfiguration(rig.runtime), {})
         self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records.path, 0)
 
     def state(self) -> dict[str, Any]:

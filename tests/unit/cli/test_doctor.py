@@ -85,8 +85,12 @@ def test_cpu_lists_are_sets() -> None:
 
 
 def test_the_wall_clock_is_asked_of_the_kernel() -> None:
-    assert doctor_host.clock_sync(True, 12.4).found == "synchronised, at most 12 ms off"
-    assert doctor_host.clock_sync(False, 0.0).severity is WARNING
+    assert doctor_host.clock_sync(True, 12.4, "").found == "synchronised, at most 12 ms off"
+    assert doctor_host.clock_sync(False, 0.0, "").severity is WARNING
+    wrong = doctor_host.clock_sync(True, 12.4, "the computer's clock reads 1970-01-01: set the clock")
+    assert (wrong.severity, wrong.found, wrong.fix) == (
+        WARNING, "the computer's clock reads 1970-01-01", "set the clock",
+    )  # fmt: skip
     synchronised, error_ms = doctor_host._adjtimex()
     assert isinstance(synchronised, bool)
     assert 0.0 <= error_ms <= 1e9

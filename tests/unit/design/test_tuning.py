@@ -87,6 +87,11 @@ def test_the_identified_plant_is_designed_for_and_used_at_the_next_start(
         assert found.family == "identified 2026-10-30"
         assert found.warnings() == []
         assert "over the family of plants identified 2026-10-30 (limit 1.6); gains of gains.yaml" in found.verdict()
+    for clock in (datetime(1970, 1, 1, tzinfo=UTC), datetime(2099, 1, 1, tzinfo=UTC)):
+        unset = design_in_use(settings, clock)
+        assert (unset.family, unset.warnings()) == ("identified 2026-10-30", [])
+        assert ledger.clock_doubt(settings, unset.as_dict(), clock)
+    assert found.as_dict()["source"]["identified"] == (rigid(settings).when,)
     text = file.with_name("gains.yaml").read_text()
     assert design_while_running(used, text, "gains.yaml", NOW).family == "identified 2026-10-30"
     with pytest.raises(GainFileError, match=r"replace plant\.spring_n_mm.*: name the file as design\.gains_file"):

@@ -144,6 +144,14 @@ def test_the_due_date_is_sent_once_when_it_has_passed(service: CalibrationServic
     assert service.settings_due(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, (1.0,))]
     assert service.standing.overdue
     assert service.settings_due(3 * S, wall_ns + 3650 * 86_400 * S) == []
+    assert service.settings_due(4 * S, wall_ns) == [(Setting.OVERDUE, (0.0,))], "the clock was ahead, and is set"
+
+
+@pytest.mark.parametrize("clock_ns", [0, 4_070_908_800 * S], ids=["1970", "2099"])
+def test_by_a_clock_that_cannot_be_right_no_due_date_passes(service: CalibrationService, clock_ns: int) -> None:
+    service.put_in_force(filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
+    assert service.settings_due(1 * S, clock_ns) == []
+    assert not service.standing.overdue
 
 
 def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(

@@ -167,6 +167,16 @@ def test_a_key_ends_with_its_date_and_never_after_its_authority(issuer: KeyIssue
     assert late.add("anna", Role.VIEWER).not_after == NOW + 3650 * DAY
 
 
+def test_a_wrong_clock_does_not_keep_a_gateway_from_its_start(issuer: KeyIssuer) -> None:
+    unset, typed = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (1970, 2099))
+    made = issuer.add("kim", Role.VIEWER)
+    assert [made.standing(clock) for clock in (unset, NOW, typed)] == ["not yet valid", "valid", "expired"]
+    for clock in (unset, NOW, typed):
+        issuer.folder.check_gateway(clock)
+    with pytest.raises(KeyFolderError, match="expired on 2028-06-03: rigctl keys renew gateway"):
+        issuer.folder.check_gateway(NOW + 900 * DAY)
+
+
 def test_the_authoritys_key_may_be_kept_elsewhere(issuer: KeyIssuer) -> None:
     """Without it nobody gets a key, and a key is revoked all the same."""
     issuer.add("kim", Role.OPERATOR)

@@ -88,13 +88,6 @@ def test_a_check_holds_until_its_due_date_and_a_failed_one_ends_it(settings: Rig
     assert excused.order == (Setting.OVERDUE, (0.0,))
 
 
-def test_a_check_from_the_future_holds_for_nothing(settings: RigSettings) -> None:
-    """The clock was stepped: its time then or now is wrong."""
-    ledger.append(settings, findings.calibrate(settings, CALIBRATE, Standing(), measured(294.2)).entry)
-    assert not stands(settings, NOW_NS - DAY_NS // 2).overdue
-    assert stands(settings, NOW_NS - 2 * DAY_NS).overdue
-
-
 def test_what_the_loop_refused_is_withdrawn(settings: RigSettings) -> None:
     given = findings.tare(settings, TARE, Standing(), measured(2.0)).entry
     ledger.append(settings, given)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import pathlib
+import re
 import types
+from datetime import UTC, datetime, timedelta
 from time import time_ns
 from typing import Any
 
@@ -27,6 +29,7 @@ from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import SENT_NS, Cursor
 from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
+from rigctl.ipc import wall_clock
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
 from rigctl.ipc.ring import RingReader, create
@@ -145,7 +148,7 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
             return found
 
     for torn in ("_events", "_records"):
-        view = StateView(runtime, settings, ActiveConfiguration(runtime))
+        view = StateView(runtime, settings, ActiveConfiguration(runtime), {})
         ring = runtime.events if torn == "_events" else runtime.records
         setattr(view, torn, Tripping(ring.path, ring.slot.dtype, from_start=True))
         cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)
@@ -153,6 +156,27 @@ def test_a_state_with_a_fault_says_why_however_the_trip_falls_between_what_is_re
             made = msgspec.json.decode(view.make(NOW, 0, Standing(), None, PreflightVerdict(), cursor))
             assert made["fault"] is None or made["fault_text"] == "tension 412.0 N above 400.0 N", torn
         assert made["fault"] == "TENSION_HIGH"
+
+
+def test_a_wrong_clock_or_a_date_after_it_is_a_warning_of_the_state(
+    tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings, runtime = config.load(ROOT / "config/paper_rig.yaml"), Runtime(tmp_path)
+    runtime.make_rings(settings)
+    later = datetime.now(UTC) + timedelta(days=3)
+    cursor = Cursor(tmp_path / "cursor", runtime.records.path, 0)
+
+    def warnings(standing: Standing, **dates: datetime) -> list[str]:
+        view = StateView(runtime, settings, ActiveConfiguration(runtime), dates)
+        made = msgspec.json.decode(view.make(NOW, 0, standing, None, PreflightVerdict(), cursor))
+        return list(made["warnings"])
+
+    assert warnings(Standing()) == []
+    for found in (warnings(Standing(tared=f"{later:%Y-%m-%dT%H:%M:%SZ}")), warnings(Standing(), certificate=later)):
+        assert len(found) == 1
+        assert re.match(rf"the computer's clock reads .*, which is before .* \({later:%Y-%m-%d}\): ", found[0])
+    monkeypatch.setattr(wall_clock, "RELEASED", later)
+    assert "which is before the release of rigctl" in warnings(Standing())[0]
 
 
 def test_quality_in_words() -> None:
