@@ -118,6 +118,7 @@ class _Finding(NamedTuple):
     figures: dict[str, Uncertain]
     above_n_mm: float | None
     stroke_mm: float | None = None
+    at: int = 0  # place of the entry in the ledger, which is the order of writing whatever the clock read
 
 
 def points(entries: Sequence[Entry], settings: RigSettings) -> list[Identified]:
@@ -185,10 +186,10 @@ def contradicted(found: Identified, entries: Sequence[Entry], settings: RigSetti
     if (why := differing(entries, found)) is not None:
         return why
     ranges = widened(found, settings)
-    since = moment(found.when)
+    since = next((at for at, item in enumerate(entries) if entry_digest(item) in found.entries), 0)
     for item in _findings(entries):
         date, figures = item.entry.when[:10], item.entry.figures
-        if moment(item.entry.when) < since or entry_digest(item.entry) in found.entries:
+        if item.at < since or entry_digest(item.entry) in found.entries:
             continue
         if not same_spring(item.believed_n_mm, found.believed_n_mm) or not _same_point(item, found):
             continue
@@ -213,14 +214,13 @@ def differing(entries: Sequence[Entry], found: Identified | None) -> str | None:
 
     None if it is, or if ``found`` was identified from then on: that is the answer to a difference.
     """
-    compared = [item for item in entries if item.what in (RESPONSE, WINDOW) and "difference" in item.figures]
-    if not compared or not isinstance(worst := compared[-1].figures["difference"], dict):
+    whats = (RESPONSE, WINDOW)
+    compared = [at for at, item in enumerate(entries) if item.what in whats and "difference" in item.figures]
+    if not compared or not isinstance(worst := entries[compared[-1]].figures["difference"], dict):
         return None
-    newest = compared[-1]
-    if found is not None:
-        own = [moment(item.when) for item in entries if entry_digest(item) in found.entries]
-        if own and max(own) >= moment(newest.when):
-            return None
+    newest, *later = entries[compared[-1] :]
+    if found is not None and any(entry_digest(item) in found.entries for item in (newest, *later)):
+        return None
     at = {name: _number(worst.get(name)) or 0.0 for name in ("hz", "measured", "error", "low", "high")}
     return (
         f"the {newest.what} of {newest.when[:10]} measured |S| {at['measured']:.2f} +- {at['error']:.2f} at "
@@ -365,7 +365,7 @@ def believing(settings: RigSettings, found: Identified) -> RigSettings:
 
 def _findings(entries: Iterable[Entry]) -> Iterator[_Finding]:
     """The entries with figures of the plant, in their order."""
-    for item in entries:
+    for at, item in enumerate(entries):
         if item.what == IDENTIFY:
             found = _of_rows(item)
         elif item.what == RESPONSE:
@@ -373,7 +373,7 @@ def _findings(entries: Iterable[Entry]) -> Iterator[_Finding]:
         else:
             continue
         if found is not None:
-            yield found
+            yield found._replace(at=at)
 
 
 def _of_rows(item: Entry) -> _Finding | None:
@@ -440,17 +440,17 @@ def _merged(group: Sequence[_Finding], spring: str) -> Identified:
     damping, ratio = first("damping_n_s_mm"), first("mechanism_damping")
     above = next((item for item in group if item.above_n_mm is not None), None)
     resonant = next((item for item in group if "mechanism_n_mm" in item.figures), None)
-    if resonant is not None and (above is None or moment(resonant.entry.when) >= moment(above.entry.when)):
+    if resonant is not None and (above is None or resonant.at >= above.at):
         mechanism, bound = first("mechanism_n_mm"), None
     else:
         mechanism, bound = None, above.above_n_mm if above is not None else None
         used += [above] if above is not None else []
-    dates = sorted((item.entry.when for item in used), key=moment)
+    when = min(used, key=lambda item: item.at).entry.when
     digests = tuple(dict.fromkeys(entry_digest(item.entry) for item in used))
     tension_n, believed = group[0].tension_n, group[0].believed_n_mm
     stroke_mm = group[0].stroke_mm
     return Identified(
-        dates[0], digests, tension_n, believed, stiffness, lag, delay, mechanism, bound, stroke_mm, damping, ratio
+        when, digests, tension_n, believed, stiffness, lag, delay, mechanism, bound, stroke_mm, damping, ratio
     )  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from rigctl.design.gains import design, filter_gain
 from rigctl.design.identified import Identified, NotIdentifiedError, Uncertain
 from rigctl.design.margins import design_and_check, frequency_grid, margins_over, plant_responses
 from rigctl.ipc.ledger import Entry, entry, entry_digest
-from tests.builders.identifications import NOON_NS, response, steps
+from tests.builders.identifications import DAY_NS, NOON_NS, response, steps
 
 Rig = Callable[..., RigSettings]
 
@@ -195,7 +195,8 @@ def test_a_later_finding_that_no_plant_of_the_family_has_contradicts_it(rig: Rig
     stiffer = against(steps(settings, 1.0, stiffness=(6.4, 0.03)))
     assert stiffer is not None
     assert "found stiffness_n_mm 6.4 +- 0.03, the identification of 2026-10-22 allows 5.82 to 6.18" in stiffer
-    assert against(steps(settings, 11.0, stiffness=(9.0, 0.03))) is None  # before it
+    before = steps(settings, 11.0, stiffness=(9.0, 0.03))
+    assert identified.contradicted(found, [before, first], settings) is None
     assert against(steps(settings, 1.0, tension_n=100.0, stiffness=(5.0, 0.03))) is None  # another operating point
     late = against(response(settings, 1.0, plant={"delay_s": {"value": 0.004, "error": 0.0002}}))
     assert late is not None
@@ -208,6 +209,27 @@ def test_a_later_finding_that_no_plant_of_the_family_has_contradicts_it(rig: Rig
     fragile = against(response(settings, 1.0, margins={"measured": True, "ms_input": peak}))
     assert fragile is not None
     assert "measured Ms 1.75 +- 0.05, expected at most 1.6" in fragile
+
+
+@pytest.mark.parametrize("days_ago", [20_000.0, -26_000.0], ids=["1972", "2098"])
+def test_what_is_later_is_so_by_its_place_in_the_ledger_whatever_the_clock_read(rig: Rig, days_ago: float) -> None:
+    settings, wrong = rig(), days_ago
+    first = steps(settings, 1.0)
+    found = one([first], settings)
+    assert identified.contradicted(found, [first, steps(settings, wrong, stiffness=(9.0, 0.03))], settings) is not None
+    assert identified.contradicted(found, [steps(settings, wrong, stiffness=(9.0, 0.03)), first], settings) is None
+    differs = {"hz": 60.0, "measured": 1.9, "error": 0.02, "low": 1.1, "high": 1.5}
+    compared = entry(
+        settings, "margins", "gateway", round(NOON_NS - wrong * DAY_NS), before={}, after={},
+        figures={"difference": differs},
+    )  # fmt: skip
+    assert identified.differing([compared, first], found) is None
+    assert identified.differing([first, compared], found) is not None
+    resonance = response(settings, wrong, plant={"mechanism_n_mm": {"value": 45.0, "error": 1.0}})
+    assert one([resonance, response(settings, 1.0)], settings).mechanism_n_mm is None
+    assert one([response(settings, 1.0), resonance], settings).mechanism_n_mm == Uncertain(45.0, 1.0)
+    parts = steps(settings, wrong, plant__cylinder_lag_s=(None, None))
+    assert one([response(settings, 1.0), parts], settings).when == response(settings, 1.0).when
 
 
 def test_the_identified_plant_becomes_the_model(rig: Rig) -> None:
