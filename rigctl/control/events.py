@@ -317,7 +317,7 @@ _HINT: dict[tuple[Mode, Verb], str] = {
 }
 
 
-_WITNESS = {Witness.ENCODER: "encoder", Witness.CELL: "cell"}
+_WITNESS: dict[int, str] = {Witness.ENCODER: "encoder", Witness.CELL: "cell"}
 _HELD_TEXT: dict[HeldBy, str] = {
     HeldBy.NOTHING: "the motor moves the load",
     HeldBy.MOTOR: "held by the motor",
@@ -505,7 +505,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         else f"the brake holds: {t}",
     ),
     Kind.WITNESS: lambda a, _b, _v, _m, t: Worded(
-        "warning", f"{t} by the {_WITNESS[Witness(a)]} alone, as the operator has named it"
+        "warning", f"{t} by the {_WITNESS.get(a, 'witness')} alone, as the operator has named it"
     ),
     Kind.STROKE_LEFT: lambda a, _b, v, m, _t: Worded(
         "warning",
