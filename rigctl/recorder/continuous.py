@@ -66,7 +66,7 @@ class Continuous:
         self._part: PartFile | None = None
         self._places: deque[Place] = deque()
         self._attached: dict[str, tuple[int, int]] = {}
-        self._due_ns = self._check_ns = 0
+        self._due_ns = self._check_ns = self._looked_ns = 0
         self._failed = 0  # failures of closed parts
         self.records = self.frames = 0
         self.why = ""
@@ -237,7 +237,10 @@ class Continuous:
         self.frames += len(slots["frames"])
 
     def _attach(self, part: PartFile, now_ns: int) -> None:
-        """Attach the documents that have changed since they were last attached."""
+        """Attach the documents that have changed since they were last attached.
+
+        The age of one is by the wall clock, which may have been set since, but it is younger than the look before.
+        """
         found = {name: self._runtime.directory / name for name in ATTACHED}
         if self._settings.ledger is not None:
             found["calibration_ledger.json"] = self._settings.ledger
@@ -251,8 +254,12 @@ class Continuous:
                         if of_daemon
                         else input_file.read(path, largest=PENDING_MAX, links=True)
                     )
-                    part.attach(name, data, now_ns, max(0, time.time_ns() - status.st_mtime_ns))
+                    age_ns = max(0, time.time_ns() - status.st_mtime_ns)
+                    if self._looked_ns >= part.opened_ns:
+                        age_ns = min(age_ns, now_ns - self._looked_ns)
+                    part.attach(name, data, now_ns, age_ns)
                     self._attached[name] = (status.st_mtime_ns, status.st_ino)
+        self._looked_ns = now_ns
 
     def as_dict(self) -> dict[str, Any]:
         """Figures for the state message: file, amount written, losses and failures."""

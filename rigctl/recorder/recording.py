@@ -200,11 +200,13 @@ def _said(found: list[FileReader]) -> tuple[dict[str, list[Said]], list[Gap]]:
 
 
 def _generations(found: list[FileReader]) -> list[AttachedDocument]:
-    """Each content once, with the time it came into force; a part begins with a copy of the content before it."""
-    everything = sorted((item for part in found for item in part.documents), key=lambda item: item.t_ns)
+    """Each content once, with the time it came into force; a part begins with a copy of the content before it.
+
+    Their order is that of the files: the date of a copy is by the wall clock, which may have been set since.
+    """
     last: dict[str, bytes] = {}
     generations = []
-    for item in everything:
+    for item in (item for part in found for item in part.documents):
         if last.get(item.name) != item.data:
             generations.append(item)
             last[item.name] = item.data

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import pathlib
 import random
 import struct
@@ -233,6 +234,27 @@ def test_documents_that_change_are_attached_anew_and_found_by_time(tape: Tape) -
     assert found.in_force("control.json", 0) == first.data
     assert found.in_force("nothing", 0) is None
     assert "lease.json" not in found.attachments
+
+
+@pytest.mark.parametrize("dated_s", [12, 4_070_908_800], ids=["1970", "2099"])
+def test_a_document_is_in_force_since_it_was_found_changed_whatever_date_its_file_has(tape: Tape, dated_s: int) -> None:
+    """The clock was set between the writing of the second one and the recorder's next look."""
+    seen = []
+    for pid in (1, 2, 2, 3):
+        tape.runtime.write_json("control.json", {"pid": pid})
+        if pid == 2:
+            os.utime(tape.runtime.directory / "control.json", (dated_s, dated_s))
+        tape.run(1600)
+        seen.append((tape.now_ns - 1, pid))
+        if len(seen) == 2:  # the part that comes begins with a copy
+            tape.close()
+            tape.start()
+    tape.close()
+    found = recording.read(*tape.files())
+    assert [json.loads(item.data) for item in found.generations if item.name == "control.json"] == [
+        {"pid": pid} for pid in (1, 2, 3)
+    ]
+    assert [(t_ns, json.loads(found.in_force("control.json", t_ns) or b"")["pid"]) for t_ns, _ in seen] == seen
 
 
 def test_the_audit_logs_lines_are_in_it_and_made_up_for_after_a_kill(tape: Tape) -> None:
