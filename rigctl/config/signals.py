@@ -97,8 +97,9 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("stroke_mm", "d", "mm", "cylinder stroke, positive shortens the rope",
            limit=Reading(6, "stroke_mm", "mm", "stroke of the cylinder, positive = shorter rope", "stroke_mm",
                        words="stroke", age=DRIVE, fast=True)),
-    Signal(limit=Reading(7, "travel_mm", "mm", "stroke since the target was reached, absolute; 0 unless COMPENSATING",
-                       "travel_mm", magnitude=True, words="travel", age=DRIVE, fast=True)),
+    Signal(limit=Reading(7, "travel_mm", "mm", "stroke since COMPENSATING began, less what the set-point has moved, "
+                       "absolute; 0 unless COMPENSATING", "travel_mm", magnitude=True, words="travel", age=DRIVE,
+                       fast=True)),
     Signal("speed_mm_s", "d", "mm/s", "cylinder speed",
            limit=Reading(8, "speed_mm_s", "mm/s", "speed the drive reports", "speed_mm_s", words="cylinder speed",
                        age=DRIVE, fast=True)),

@@ -133,7 +133,7 @@ class Loop:
         self._watch = Watch(settings, limit_rows(settings))
         self._escalator = Escalator(settings, arming.stopping_ns(settings))
         self._parking, self._first_second = Parking(settings, arming.stopping_ns(settings)), FirstSecond(settings)
-        self._travel_from_mm = 0.0
+        self._travel_from = 0.0, 0.0  # stroke in mm and set-point in N at the begin of COMPENSATING
         self._moved_on_brake = False  # a load at rest on the brake has moved since
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
         self._done = NOTHING
@@ -199,7 +199,7 @@ class Loop:
             self._look_at_zero(self._slack_watch, now_ns)
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
-        observer.look_at_control(t_ns, self._commanded_ns, self._travel_from_mm)
+        observer.look_at_control(t_ns, self._commanded_ns, self._travel_from)
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
         machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
@@ -252,7 +252,7 @@ class Loop:
                 self._stroke_hold.follow()  # motion acknowledged
                 self._held_tension.follow()
             if change.after is Mode.COMPENSATING:
-                self._travel_from_mm = estimate.stroke_mm
+                self._travel_from = estimate.stroke_mm, law.setpoint_n
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 self.brake.follow()
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
@@ -270,7 +270,7 @@ class Loop:
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
-        free, ticks = mode is Mode.COMPENSATING and trial is None, 1 + self.observer.just_skipped
+        free, ticks = mode is Mode.COMPENSATING and trial is None and not law.ramping, 1 + self.observer.just_skipped
         law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
         if trial is not None and trial.moves:
             law.added_mm_s = trial.wanted_mm_s

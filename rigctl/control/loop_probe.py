@@ -28,9 +28,17 @@ class NoProbe:
         self._judged = True  # nothing can be said of the cell: only the whole travel is bounded
 
     def look(
-        self, snapshot: Snapshot, cosine: float, target_n: float, *, ramping: bool, compensating: bool
+        self, snapshot: Snapshot, cosine: float, setpoint_n: float, *, ramping: bool, compensating: bool
     ) -> None:  # fmt: skip
-        """One tick, before it is decided: the travel; ``target_n`` along the rope, ``ramping``: up, on a tight rope."""
+        """One tick, before it is decided: the travel.
+
+        Args:
+            snapshot: of this tick.
+            cosine: of the rope against the vertical.
+            setpoint_n: of the rope: the one in force, while TENSIONING the largest up to the target.
+            ramping: TENSIONING, on a tight rope.
+            compensating: COMPENSATING.
+        """
         watched = (
             (self._ramped, self._watches_ramp and (ramping or compensating), True),
             (self._regulated, compensating, self._judged),
@@ -38,7 +46,7 @@ class NoProbe:
         for travel, on, judged in watched:
             if on:
                 travel.look(
-                    snapshot.stroke_mm, snapshot.speed_mm_s, snapshot.tension_n, cosine, target_n, judged=judged
+                    snapshot.stroke_mm, snapshot.speed_mm_s, snapshot.tension_n, cosine, setpoint_n, judged=judged
                 )
             else:
                 travel.end()
@@ -74,7 +82,7 @@ class LoopProbe(NoProbe):
             snapshot: of this tick.
             command_mm_s: sent in the tick before.
             ticks: since the last call.
-            free: COMPENSATING without a trial.
+            free: COMPENSATING without a trial, and the set-point is on the target.
         """
         multisine, sensors = self._multisine, self._sensors
         speed_mm_s = multisine.speed_mm_s(snapshot.vertical_error_n, free=free)

@@ -3,7 +3,7 @@
 With a ``margins`` section it is strong enough that the loop's margins can be measured by it. It is weak, always the
 same, and acts as a disturbance of the plant's input (see `rigctl.control.frequency_trial`). It grows from nothing once
 the tension has been near its set-point for some time, and is off at once when something else happens: a trial, a mode
-that ends, an error beyond its bound.
+that ends, an error beyond its bound, a new target: its ramp would pass for an answer of the cell's, and a large one.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Probe:
         return self._grown >= 1.0
 
     def speed_mm_s(self, error_n: float, *, free: bool) -> float:
-        """Speed of this tick; ``error_n`` of the vertical tension, ``free``: COMPENSATING without a trial."""
+        """Speed of this tick; ``error_n`` of the vertical tension, ``free``: COMPENSATING at rest, see `LoopProbe`."""
         if not free or not -self._bound_n < error_n < self._bound_n:
             self._settled, self._grown = 0, 0.0
             return 0.0

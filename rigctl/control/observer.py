@@ -178,26 +178,28 @@ class Observer:
         snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
         snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.cell_step_n
 
-    def look_at_control(self, t_ns: int, commanded_ns: int, travel_from_mm: float) -> None:
+    def look_at_control(self, t_ns: int, commanded_ns: int, travel_from: tuple[float, float]) -> None:
         """Add to the snapshot what the loop itself wants and has found; after `look`.
 
-        ``commanded_ns``: when an operator gave the last command. ``travel_from_mm``: stroke where the target was
-        reached.
+        ``commanded_ns``: when an operator gave the last command. ``travel_from``: stroke in mm and vertical set-point
+        in N at the begin of COMPENSATING; the stroke that the set-point has moved since then is no travel.
         """
         snapshot, law, machine, now_ns = self.snapshot, self._law, self._machine, self.snapshot.t_ns
         self._last_grid_ns, self._grid_ns = self._grid_ns, t_ns
         snapshot.lateness_ns, snapshot.command_age_ns = now_ns - t_ns, t_ns - commanded_ns
         compensating = machine.mode is Mode.COMPENSATING
         tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
-        snapshot.travel_mm = self.inbox.stroke_mm - travel_from_mm if compensating else 0.0
+        from_mm, from_n = travel_from
+        wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.travel.stiffness_n_mm)
+        snapshot.travel_mm = self.inbox.stroke_mm - from_mm - wanted_mm if compensating else 0.0
         if not compensating:
             self.sensitivity_peak = self.sensitivity_peak_error = math.nan
         least = self.sensitivity_peak - self.sensitivity_peak_error
         snapshot.least_peak = least if least > 0.0 else 0.0
         snapshot.vertical_error_n = self.inbox.tension_n * self.cosine - law.setpoint_n if tight else 0.0
-        probe, target_n = self._probe, law.target_n / self.cosine
+        probe, setpoint_n = self._probe, law.setpoint_n if compensating else max(law.setpoint_n, law.target_n)
         ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
-        probe.look(snapshot, self.cosine, target_n, ramping=ramping, compensating=compensating)
+        probe.look(snapshot, self.cosine, setpoint_n / self.cosine, ramping=ramping, compensating=compensating)
         travel = probe.travel
         snapshot.cell_frozen = probe.found is ProbeFinding.CELL_FROZEN
         snapshot.encoder_stuck = probe.found is ProbeFinding.ENCODER_STUCK

@@ -39,7 +39,7 @@ class Snapshot:
     tangential_rad: float = 0.0
     normal_rad: float = 0.0
     stroke_mm: float = math.nan
-    travel_mm: float = 0.0  # since the target was reached
+    travel_mm: float = 0.0  # since COMPENSATING began, less what the set-point has moved
     speed_mm_s: float = 0.0
     drive_age_ns: int = 1 << 62
     drive_enabled: bool = False

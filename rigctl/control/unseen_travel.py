@@ -30,7 +30,7 @@ class UnseenTravel:
     def __init__(self, settings: RigSettings, detection_s: float, step_s: float) -> None:
         """``detection_s``: of a frozen cell; ``step_s``: between two judgements of the probe."""
         plant, safety = settings.plant, settings.safety
-        self._stiffness, self._length_mm = plant.slow_stiffness_n_mm, plant.rope_length_mm
+        self.stiffness_n_mm, self._length_mm = plant.slow_stiffness_n_mm, plant.rope_length_mm
         self._settings = settings
         self._heave_mm = (safety.heave_mm or 0.0) + LATCH_MM
         self._in_time_mm = frozen_mm(settings, detection_s) + LATCH_MM
@@ -53,15 +53,15 @@ class UnseenTravel:
             self._from = stretch_mm, tension_n
             self._known.append(0.0)
         from_mm, from_n = self._from
-        unseen_n = self._stiffness * (stretch_mm - from_mm) - (tension_n - from_n)
+        unseen_n = self.stiffness_n_mm * (stretch_mm - from_mm) - (tension_n - from_n)
         if judged:
             self._known.append(unseen_n)
         bound_n = share_n(self._settings, setpoint_n) + TOLERANCE * abs(tension_n - from_n)
         lately_n = unseen_n - self._known[0]
-        stop_n = self._stiffness * speed_mm_s * self._stop_s
+        stop_n = self.stiffness_n_mm * speed_mm_s * self._stop_s
         whole_n, lately_n = abs(unseen_n + stop_n), abs(lately_n + stop_n)
-        whole_bound_n = max(bound_n, self._stiffness * self._heave_mm)
-        lately_bound_n = max(bound_n, self._stiffness * self._in_time_mm)
+        whole_bound_n = max(bound_n, self.stiffness_n_mm * self._heave_mm)
+        lately_bound_n = max(bound_n, self.stiffness_n_mm * self._in_time_mm)
         if whole_n - whole_bound_n > lately_n - lately_bound_n:
             self.unseen_n, self.bound_n = whole_n, whole_bound_n
         else:
@@ -69,9 +69,9 @@ class UnseenTravel:
         self.excess_n = self.unseen_n - self.bound_n
 
     def found_stiffness(self, n_mm: float) -> None:
-        """Take a rope or mechanism that gives way far more than the rig file has it, as the sign check found it."""
-        if n_mm < (1.0 - TOLERANCE) * self._stiffness:
-            self._stiffness = n_mm
+        """Take a rope or mechanism that gives way by more than the tolerance, as the sign check found it."""
+        if (1.0 + TOLERANCE) * n_mm < self.stiffness_n_mm:
+            self.stiffness_n_mm = n_mm
 
 
 def share_n(settings: RigSettings, setpoint_n: float) -> float:

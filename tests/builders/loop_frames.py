@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.lockstep import Lockstep
-from rigctl.control.events import Kind, worded
+from rigctl.control.events import Kind, Worded, worded
 from rigctl.devices import objects as od
 
 
@@ -13,14 +13,18 @@ def events(rig: Lockstep) -> list[int]:
     return [int(slot["kind"]) for slot in rig.events.read()]
 
 
-def texts(rig: Lockstep, kind: Kind) -> list[str]:
-    """The events of a kind since the last call, in words."""
+def worded_events(rig: Lockstep) -> list[tuple[int, Worded]]:
+    """Kind and words of the events since the last call."""
     found = []
     for event in rig.events.read():
         number, a, b, value, limit, text = (event[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
-        if number == kind:
-            found.append(worded(number, a, b, value, limit, text.decode()).text)
+        found.append((number, worded(number, a, b, value, limit, text.decode())))
     return found
+
+
+def texts(rig: Lockstep, kind: Kind) -> list[str]:
+    """The events of a kind since the last call, in words."""
+    return [event.text for number, event in worded_events(rig) if number == kind]
 
 
 def stop_node(rig: Lockstep, node: int) -> None:

@@ -69,7 +69,7 @@ def stretched_with_a_last_sync_at(last_ms: float) -> float:
         inbox.tension_n = 300.0 + K * 6e-3 * tick
         inbox.cell_fresh = inbox.drive_fresh = True
         observer.look(now_ns, 0)
-        observer.look_at_control(now_ns, 0, 50.0)
+        observer.look_at_control(now_ns, 0, (50.0, 300.0))
         estimate = observer.estimate(0, regulated=True)
         observer.filter.command(0.0)
         sent.synced_ns = now_ns + round((last_ms if tick == 198 else 0.1) * MS)

@@ -22,10 +22,10 @@ def with_heave(**values: float) -> RigSettings:
 
 def look(
     travel: UnseenTravel, stroke_mm: float, tension_n: float = 300.0, *, speed_mm_s: float = 0.0, cosine: float = 1.0,
-    judged: bool = False,
+    judged: bool = False, setpoint_n: float = 300.0,
 ) -> bool:  # fmt: skip
     """Whether it is beyond its bound."""
-    travel.look(stroke_mm, speed_mm_s, tension_n, cosine, 300.0, judged=judged)
+    travel.look(stroke_mm, speed_mm_s, tension_n, cosine, setpoint_n, judged=judged)
     return travel.excess_n > 0.0
 
 
@@ -50,6 +50,16 @@ def test_a_stroke_that_the_tension_shows_is_none() -> None:
 def test_a_stiffness_that_is_off_by_a_fifth_is_none() -> None:
     assert not look(started(), 10.0 + 20.0, 300.0 + 1.19 * 20.0 * K)
     assert look(started(), 10.0 + 20.0, 300.0 + 1.6 * 20.0 * K)
+
+
+@pytest.mark.parametrize(("share", "taken"), [(0.82, True), (0.84, False)])
+def test_a_softer_spring_than_the_tolerance_covers_is_taken_as_it_was_found(share: float, taken: bool) -> None:
+    """The tolerance is of the tension, and the stroke of a spring 20 % softer is 25 % longer: down to 60 N, 50 mm."""
+    travel, to_mm = started(), 10.0 - 240.0 / (share * K)
+    assert look(travel, to_mm, 60.0, setpoint_n=30.0) is taken
+    travel.found_stiffness(share * K)
+    assert not look(travel, to_mm, 60.0, setpoint_n=30.0)
+    assert (travel.stiffness_n_mm < K) is taken
 
 
 def test_the_lean_of_the_rope_takes_stroke() -> None:
