@@ -240,10 +240,10 @@ class Machine:
         return True
 
     def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
-        """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive)."""
-        self.end_trial(Refusal.ABORTED)
-        if verb not in modes.WHILE_DISARMING:
-            self._end_disarming(Refusal.ABORTED)
+        """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive).
+
+        A command that is refused touches nothing that is under way.
+        """
         if self.stopping:
             return self._answer(id_, verb, Refusal.STOPPING)
         if verb is Verb.RESET and self.silent:
@@ -256,9 +256,13 @@ class Machine:
             return self._answer(id_, verb, Refusal.ALREADY)
         if self._pending is not None and (answered := self._interrupt(id_, verb)) is not None:
             return answered
+        if self._trial is not None and self.mode is Mode.DISARMED and verb in (Verb.HOLD, Verb.DISARM):
+            self._end_others(verb)
+            return self._answer(id_, verb, Refusal.NONE)
         decision = modes.decide(self.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
             return self._answer(id_, verb, decision.refusal)
+        self._end_others(verb)
         carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
         if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self._powered):
             event = Event.ENABLED if verb is Verb.ARM else decision.event
@@ -284,12 +288,18 @@ class Machine:
             return self._answer(id_, verb, Refusal.ALREADY)
         if verb in modes.TRIED_IN and self.arming:
             return self._answer(id_, verb, Refusal.WRONG_MODE)
-        if verb in (Verb.DISARM, Verb.HOLD):  # the load stays on the brake
-            self._finish_pending(Refusal.ABORTED)
-            return self._answer(id_, verb, Refusal.NONE) if verb is Verb.HOLD or self.mode is Mode.DISARMED else None
-        if verb in modes.NEEDS_MOTOR or verb is Verb.RESET:
-            self._finish_pending(Refusal.ABORTED)
+        if verb is Verb.HOLD or (verb is Verb.DISARM and self.mode is Mode.DISARMED):  # the load stays on the brake
+            self._end_others(verb)
+            return self._answer(id_, verb, Refusal.NONE)
         return None
+
+    def _end_others(self, verb: Verb) -> None:
+        """End what is under way and gives way to an accepted command."""
+        self.end_trial(Refusal.ABORTED)
+        if verb not in modes.WHILE_DISARMING:
+            self._end_disarming(Refusal.ABORTED)
+        if verb in modes.ENDS_PENDING:
+            self._finish_pending(Refusal.ABORTED)
 
     def _answer(self, id_: int | None, verb: Verb, refusal: Refusal) -> Refusal:
         """Answer a command; one that no operator has given, ``id_`` None, has no answer."""

@@ -491,6 +491,8 @@ WHILE_DISARMING = frozenset({Verb.TARGET, Verb.GAINS, Verb.DISARM})
 """Commands that leave a DISARM under way as it is."""
 NEEDS_MOTOR = frozenset({Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER})
 """With the load on the brake, these first have the motor take it back."""
+ENDS_PENDING = frozenset({Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
+"""Accepted, these end a command that waits for the drive or for its read-back."""
 CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
 """Commands for a load that the brake does not hold."""
 

@@ -303,7 +303,7 @@ class Orders:
             if waiting.verb is Verb.ARM and verb in modes.TRIED_IN:
                 self._reply(t_ns, id_, Refusal.WRONG_MODE)
                 return
-            if verb in (Verb.DISARM, Verb.HOLD, *modes.NEEDS_MOTOR):
+            if self._ends_waiting(verb, values):
                 self._reply(t_ns, waiting.id, Refusal.ABORTED)
                 self._waiting = None
                 self._readback.give_up()
@@ -317,6 +317,14 @@ class Orders:
             self._readback.begin_all(t_ns)
             return
         self._carry_out(id_, verb, values, t_ns)
+
+    def _ends_waiting(self, verb: Verb, values: _Values) -> bool:
+        """Whether a command ends the one that waits for the read-back; one that the mode refuses does not."""
+        if verb in (Verb.DISARM, Verb.HOLD):
+            return True
+        if verb not in modes.NEEDS_MOTOR:
+            return False
+        return modes.decide(self._machine.mode, verb, self._situation(verb, values)).refusal is Refusal.NONE
 
     def _reads_first(self, verb: Verb, values: _Values, t_ns: int) -> bool:
         """Every supervised object is read before this command, unless it is refused already."""
@@ -389,7 +397,10 @@ class Orders:
         if verb in modes.CARRIES and machine.pending is not verb:
             self._latch_slip(verb, situation, t_ns)
         fault, was_pending = machine.fault, machine.pending
-        done = machine.command(id_, verb, situation, t_ns) is Refusal.NONE
+        refusal = machine.command(id_, verb, situation, t_ns)
+        if refusal not in (None, Refusal.NONE):
+            return
+        done = refusal is Refusal.NONE
         if machine.pending is verb and was_pending is not verb and not machine.resetting:
             if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
                 self.shown_checks = situation.failed_checks

@@ -536,6 +536,31 @@ def test_a_disarm_is_answered_when_the_drive_is_off_or_has_not_been_in_its_time(
     assert not machine.disarming
 
 
+@pytest.mark.parametrize("verb", [Verb.HOLD, Verb.TENSION, Verb.RELEASE, Verb.MOVE])
+def test_a_command_that_the_mode_refuses_leaves_a_disarm_as_it_is(verb: Verb) -> None:
+    """HOLD had the DISARM answered with "nothing was changed", and the drive went off all the same."""
+    machine = armed()
+    machine.command(2, Verb.DISARM, READY, 100)
+    assert machine.command(3, verb, READY, 101) is Refusal.WRONG_MODE
+    assert machine.disarming
+    machine.follow_off(102, off=True)
+    assert machine.answers == [Answer(3, verb, Refusal.WRONG_MODE), Answer(2, Verb.DISARM, Refusal.NONE)]
+
+
+def test_a_command_that_the_mode_refuses_leaves_a_waiting_one_and_a_trial_as_they_are() -> None:
+    machine = MachineLog()
+    machine.command(1, Verb.TARE, READY, 0)
+    assert machine.command(2, Verb.TENSION, READY, 1) is Refusal.WRONG_MODE
+    assert machine.trial is Verb.TARE
+    assert machine.command(3, Verb.ARM, READY, 2) is None, "an accepted one ends the trial"
+    assert machine.command(4, Verb.RELEASE, READY, 3) is Refusal.WRONG_MODE
+    assert machine.arming
+    assert machine.command(5, Verb.HOLD, READY, 4) is Refusal.NONE, "HOLD ends it, in any mode"
+    assert [(answer.id, answer.refusal) for answer in machine.answers] == [
+        (2, Refusal.WRONG_MODE), (1, Refusal.ABORTED), (4, Refusal.WRONG_MODE), (3, Refusal.ABORTED), (5, Refusal.NONE)
+    ]  # fmt: skip
+
+
 def test_a_stop_answers_the_disarm_under_way() -> None:
     machine = armed()
     machine.command(2, Verb.DISARM, READY, 100)
