@@ -32,6 +32,7 @@ LONG_TEST_NS = 10_000_000_000
 BRAKE_TEST_MM = 0.05
 """A brake holds without creep: its play and wind-up are taken up while it closes, before the test begins."""
 TEST_TEXT = " in the brake test, the drive stays off"
+BRAKE_TIMES = 2  # of the brake's time
 REACTION_NS = 2_000_000_000
 """A stroke that still moves this long after the drive went off shows a slipping brake, and no stop under way."""
 
@@ -40,6 +41,11 @@ def stopping_ns(settings: RigSettings) -> int:
     """Time in ns in which a drive that obeys stops by itself from top speed, with two lags to spare."""
     seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
     return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
+
+
+def cut_off_ns(settings: RigSettings) -> int:
+    """Time in ns after which a drive that reports to be off is commanded to have no voltage."""
+    return BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
 
 
 class Standstill:

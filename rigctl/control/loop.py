@@ -53,7 +53,6 @@ STOP_LIMIT_NS = 2_000_000_000
 START_AGAIN_NS = 300_000_000  # a node has heard heartbeats of ours by then
 NEVER_NS = 1 << 62
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
-BRAKE_TIMES = 2  # of the brake's time, after which a drive that reports to be off is commanded to have no voltage
 COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
@@ -61,6 +60,7 @@ SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 """Modes in which the law holds the tension."""
 SLIP_BITS = sum(1 << fault for fault in SLIPS)
+_MOVES_BIT = 1 << Fault.STROKE_MOVES
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
@@ -143,7 +143,7 @@ class Loop:
             self.learning, self._holds, self.brake, self._carried, self._rope,
             supervised=supervised,
         )  # fmt: skip
-        self._cut_off_ns = BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
+        self._cut_off_ns = arming.cut_off_ns(settings)
         self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
@@ -434,7 +434,7 @@ class Loop:
     def _undo_parking(self, t_ns: int) -> None:
         """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong."""
         first = self._first_second
-        first.look(self.observer.snapshot)
+        first.look(self.observer.snapshot, moves=bool(self._watch.standing & _MOVES_BIT))
         if not first.sank_mm or self._watch.standing & ~SLIP_BITS:
             return
         trip = Trip(Fault.BRAKE_SLIPS, first.sank_mm, UNDO_MM, text=UNDONE_TEXT)

@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import Standstill, stopping_ns
+from rigctl.control.arming import STILL_NS, Standstill, cut_off_ns, stopping_ns
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
@@ -115,6 +115,7 @@ class Observer:
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._alone_ns = cut_off_ns(settings) + STILL_NS  # a drive that holds on longer than its file has it is cut off
         self._stopping_ns = stopping_ns(settings)
         self._off_since_ns: int | None = None
         self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
@@ -263,12 +264,12 @@ class Observer:
         braked, rests = self.braked, snapshot.load_at_rest.rests
         self._rested &= braked
         settles = not self._rested and snapshot.off_ns <= self._brake_ns + SETTLES_NS and not snapshot.sink_mm_s
-        self._rested |= braked and rests
+        self._rested |= braked and rests and snapshot.off_ns >= self._alone_ns
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_age_ns <= self._stale_ns,
             braked=braked,
-            rests=rests,
+            rests=rests and self._rested,
             settles=settles,
             taking=machine.taking,
             powered=snapshot.drive_enabled and machine.drive_wanted,

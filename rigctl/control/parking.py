@@ -94,9 +94,14 @@ class FirstSecond:
         self._parks = False
         self.sank_mm = 0.0
         self._from_mm = self._from_n = self._tension_n = math.nan
+        self._closed = False
 
-    def look(self, snapshot: Snapshot) -> None:
-        """One tick; the way counts from the end of the brake's time on, since its play is taken up until then."""
+    def look(self, snapshot: Snapshot, *, moves: bool) -> None:
+        """One tick; the way counts from the end of the brake's time on, since its play is taken up until then.
+
+        ``moves``: STROKE_MOVES is active, which no play is: the way counts from the motor's end on then. Its 0.2 s may
+        be over before the brake's time is.
+        """
         if not self._parks:
             return
         unseen = max(snapshot.cell_age_ns, snapshot.drive_age_ns) > self._stale_ns or snapshot.cell_quality
@@ -110,12 +115,16 @@ class FirstSecond:
         if math.isnan(self._tension_n):
             self._tension_n = snapshot.tension_n
         self._tension_n += (snapshot.tension_n - self._tension_n) * self._share
-        if not snapshot.drive_off or snapshot.off_ns < self._brake_ns:
+        if not snapshot.drive_off:
             if math.isfinite(self._from_mm):  # it has come on again
                 self.end()
             return
-        if math.isnan(self._from_mm):
+        closed = snapshot.off_ns >= self._brake_ns
+        if math.isnan(self._from_mm) or (closed and not self._closed):
             self._from_mm, self._from_n = snapshot.stroke_mm, self._tension_n
+        self._closed = closed
+        if not (closed or moves):
+            return
         way_mm = self._from_mm - snapshot.stroke_mm
         fell_mm = (self._from_n - self._tension_n) / self._stiffness
         shown = way_mm > self._least_mm and fell_mm > UNDO_SHARE * way_mm and snapshot.tension_n > self._slack_n

@@ -87,6 +87,41 @@ def test_a_brake_that_slips_at_once_gives_the_load_back_with_a_fault(held: Locks
     assert held.command(Verb.RESET) is Refusal.CARRIED
 
 
+def drive_whose(settings: RigSettings, told_ms: int, *, waits_ms: int, closes_ms: int | None) -> RigSettings:
+    """A rig file whose ``cylinder.brake_delay_ms`` is not what drive and brake need."""
+    true = {"simulation.drive.brake_ms": waits_ms, "simulation.drive.brake_close_ms": closes_ms}
+    return changed(settings, {"cylinder.brake_delay_ms": told_ms, **true})
+
+
+@pytest.mark.gate("0.5-300", "1.5-1000")
+@pytest.mark.parametrize("told_ms", [180, 300, 1000])
+@pytest.mark.parametrize("slip_mm_s", [0.15, 0.5, 1.5])
+def test_a_brake_delay_longer_than_it_is_does_not_leave_the_load_on_a_slipping_brake(
+    settings: RigSettings, gains: Gains, slip_mm_s: float, told_ms: int
+) -> None:
+    """STROKE_MOVES took 0.2 s, the drive went off for good, and the motor had the load back only after the delay."""
+    with lockstep(drive_whose(settings, told_ms, waits_ms=60, closes_ms=None), gains) as rig:
+        bring(rig)
+        put_in(rig, brake_slips(slip_mm_s))
+        assert parks(rig, 6.0) < 0.1 + 0.25 * slip_mm_s
+        assert rig.loop.machine.fault is Fault.BRAKE_SLIPS
+        assert rig.loop.observer.snapshot.held_by is HeldBy.MOTOR
+
+
+@pytest.mark.gate("300-300", "60-300")
+@pytest.mark.parametrize(("waits_ms", "closes_ms"), [(300, 300), (60, 300), (500, 500)])
+def test_a_brake_delay_shorter_than_it_is_does_not_show_a_closed_brake(
+    settings: RigSettings, gains: Gains, waits_ms: int, closes_ms: int
+) -> None:
+    with lockstep(drive_whose(settings, 60, waits_ms=waits_ms, closes_ms=closes_ms), gains) as rig:
+        bring(rig)
+        shown = []
+        rig.on_advance = lambda: shown.append((rig.loop.observer.snapshot.held_by, rig.rig.drive.brake.closed))
+        rig.run(6.0)
+        assert (HeldBy.CLOSING, False) in shown
+        assert (HeldBy.BRAKE, False) not in shown
+
+
 def test_a_motor_that_yields_takes_it_back_on_its_preload(settings: RigSettings, gains: Gains) -> None:
     given = strict_yaml.read(rig_file.shipped(SET)).data
     flat = {"cylinder.rated_force_n": given["cylinder"]["rated_force_n"]}
