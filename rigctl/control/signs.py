@@ -40,6 +40,7 @@ class SignCheck:
         self._range_n_mm = plant.found_n_mm
         self._dt = 1.0 / settings.loop.rate_hz
         self._share = 1.0 - math.exp(-self._dt / plant.cylinder_lag_s)
+        self._coast_share = 1.0 - math.exp(-self._dt / (plant.cylinder_lag_s + plant.command_delay_s))
         self._stroke_min_mm = settings.cylinder.stroke_min_mm
         self._tight_n = 2.0 * tension.slack_n
         self._fall_n = max(tension.slack_n, FALL_NOISES * settings.tension_cell.noise_n)
@@ -48,8 +49,9 @@ class SignCheck:
         self.slope_n_mm = math.nan
         self.begin(0.0, 0.0)
 
-    def begin(self, stroke_mm: float, tension_n: float) -> None:
-        """A tensioning starts at this stroke and tension."""
+    def begin(self, stroke_mm: float, tension_n: float, speed_mm_s: float = 0.0) -> None:
+        """A tensioning starts at this stroke and tension; ``speed_mm_s``: of a motion before it that is ending."""
+        self._coasts_mm_s = speed_mm_s
         self.probe_mm_s, self.words = 0.0, ""
         self._travel_mm, self._span_mm = TRAVEL_MM, max(SLOPE_N / self._stiffness, SLOPE_MM)
         self._last_look = False
@@ -76,6 +78,8 @@ class SignCheck:
     def _judge(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         self._speed_mm_s += (command_mm_s - self._speed_mm_s) * self._share
         self._expected_mm += self._speed_mm_s * self._dt
+        self._coasts_mm_s -= self._coasts_mm_s * self._coast_share
+        self._start_mm += self._coasts_mm_s * self._dt
         if not self._drive_follows and self._drive_opposes(stroke_mm):
             return Fault.SIGN_DRIVE
         if self._cell_opposes(stroke_mm, tension_n):
