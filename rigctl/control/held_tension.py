@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from itertools import pairwise
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.snapshot import Snapshot
@@ -29,7 +30,9 @@ SHARE = 0.026  # of 3 %: the rest is the drive's until it stands
 STIFF_SHARE, LEAST_MM = 0.1, 0.1  # bound in mm on a stiff spring, of the target; play, dead zone, resolution
 FALL_MM, FALL_SHARE = 0.2, 0.03  # a fall on the brake that goes on: of stretch, or of the target if that is less
 SINKS_NS, FALLEN_NS = 1_500_000_000, 10_000_000_000  # a fall that goes on; one in jerks, or that has ended
+SLOW_MARK_S, SLOW_MARKS, SLOW_MM_S = 5.0, 7, 0.004  # a fall of half a minute, each 5 s of it lower than the last
 SINKS_MM_S, UNLOADED_MM_S = 0.01, 5.0  # slower is the cell's, faster is a load that is lifted off
+LINGERS = 2.0  # limits below which a fall that is no longer seen is one still
 GROWS_MM_S = 0.02
 DRIFT_OF_RANGE_H = 2e-5  # of the cell's zero: class C3, 0.02 % in 10 K, 1 K an hour
 CREEP_OF_LOAD = 2.45e-4  # OIML R 60, class C3
@@ -120,6 +123,7 @@ class HeldTension:
             bounce_s = BOUNCES / omega
         self._bounce_s = bounce_s
         self._marks: deque[float] = deque(maxlen=MARKS)
+        self._slow_marks: deque[float] = deque(maxlen=SLOW_MARKS)
         self._growth: deque[float] = deque(maxlen=GROWTH_MARKS)
         self.follow()
 
@@ -196,8 +200,10 @@ class HeldTension:
 
     def _begin_mark(self) -> None:
         self._marks.clear()
-        self._marked_s, self._lasted_s, self._least_n = 0.0, 0.0, math.inf
-        self._goes_on = False
+        self._slow_marks.clear()
+        self._marked_s, self._slow_marked_s, self._lasted_s, self._least_n = 0.0, 0.0, 0.0, math.inf
+        self._goes_on = self._goes_on_slowly = False
+        self._went_on_s = self._lingers_s = 0.0
 
     def _look_for_fall(self, passed_s: float) -> None:
         """Compare with the highest tension that has lasted."""
@@ -222,9 +228,30 @@ class HeldTension:
             fell_n = self._marks[0] - smooth_n if len(self._marks) == MARKS else 0.0
             speed_mm_s = fell_n / (self._stiffness * (MARKS * MARK_S))
             self._goes_on = SINKS_MM_S < speed_mm_s < UNLOADED_MM_S
+            if self._goes_on:  # near the limit a fall that has lasted would come and go
+                self._went_on_s += MARK_S
+                lingers = self._went_on_s >= SINKS_NS * 1e-9 and speed_mm_s < LINGERS * SINKS_MM_S
+                self._lingers_s = LASTS_S if lingers else 0.0
+            elif self._lingers_s <= 0.0:
+                self._went_on_s = 0.0
+            else:
+                self._lingers_s -= MARK_S
+                self._goes_on = True
             self._marks.append(smooth_n)
+        self._slow_marked_s += passed_s
+        if self._slow_marked_s >= SLOW_MARK_S:
+            self._slow_marked_s = 0.0
+            self._slow_marks.append(smooth_n)
+            self._goes_on_slowly = self._falls_slowly()
         fallen_n = self._highest_n - smooth_n
         if fallen_n > SHARE * self._highest_n:
             self.fallen_n = fallen_n
-        if self._goes_on:
+        if self._goes_on or self._goes_on_slowly:
             self.sinks_n = fallen_n
+
+    def _falls_slowly(self) -> bool:
+        """Every mark is below the one before it, and together they are a motion of `SLOW_MM_S` at least."""
+        marks = self._slow_marks
+        if len(marks) < SLOW_MARKS or not all(later < earlier for earlier, later in pairwise(marks)):
+            return False
+        return marks[0] - marks[-1] > SLOW_MM_S * SLOW_MARK_S * (SLOW_MARKS - 1) * self._stiffness

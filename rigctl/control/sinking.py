@@ -39,9 +39,10 @@ class Sinking:
         self._count, self._next_ns = 0, 0
         self._last_mm = math.nan
         self.left_mm = 0.0
-        self._forget()
+        self.forget()
 
-    def _forget(self) -> None:
+    def forget(self) -> None:
+        """Begin anew: what was before is acknowledged."""
         self.speed_mm_s = self.apart_mm = 0.0
         self._steps.clear()
         self._count = 0
@@ -56,7 +57,7 @@ class Sinking:
         self._last_mm = snapshot.stroke_mm
         if jumped or snapshot.off_ns < self._closed_ns or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n):
             if self._steps or self._count:
-                self._forget()
+                self.forget()
             return
         if not self._count:
             self._sum_mm = self._sum_n = 0.0

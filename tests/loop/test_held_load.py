@@ -16,7 +16,7 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
@@ -135,6 +135,45 @@ def test_a_brake_that_slips_unseen_by_the_encoder_is_a_fault_while_disarmed(
         truth = play(rig, both(brake_slips(speed), ENCODER_STUCK), 2.0 / speed)
         assert rig.loop.machine.fault is Fault.LOAD_SINKS
         assert truth.at_fault_mm <= MOVED_MM or truth.at_fault <= SHARE
+
+
+@pytest.mark.gate("6.0-0.01")
+@pytest.mark.parametrize("speed", [0.005, 0.01, 0.012])
+@pytest.mark.parametrize("spring_n_mm", [4.0, 6.0])
+def test_the_slowest_slip_is_a_load_that_is_not_at_rest_and_a_fault_that_no_reset_ends(
+    settings: RigSettings, gains: Gains, spring_n_mm: float, speed: float
+) -> None:
+    """It was "at rest" for 8 s of each 10 s, and 1.4 mm until LOAD_SINKS; on 4 N/mm 1.6 mm without a fault."""
+    with lockstep(of_spring(settings, spring_n_mm), gains) as rig:
+        bring(rig, Mode.DISARMED)
+        rig.run(1.0)
+        truth = play(rig, both(brake_slips(speed), ENCODER_STUCK), 1.0 / speed)
+        assert rig.loop.machine.fault is Fault.LOAD_SINKS
+        assert truth.at_fault_mm <= 0.5
+        assert not rig.loop.observer.snapshot.load_at_rest.rests
+        for _ in range(3):
+            assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
+            assert HeldBy.BRAKE not in rig.run(10.0)["held_by"]
+        rig.rig.drive.brake.slip_mm_s = 0.0
+        rig.run(20.0)
+        assert rig.loop.observer.snapshot.load_at_rest.rests
+        assert rig.command(Verb.RESET) is Refusal.NONE
+
+
+def test_a_load_at_rest_after_a_reset_is_not_judged_by_what_was_before(settings: RigSettings, gains: Gains) -> None:
+    """STROKE_MOVES by "0.03 mm/s" came from the 5 s before the reset."""
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.DISARMED)
+        rig.run(3.0)
+        brake_slips(0.4)(Stand(rig, "slip"))
+        rig.run(0.6)
+        assert rig.loop.machine.fault is Fault.STROKE_MOVES
+        rig.rig.drive.brake.slip_mm_s = 0.0
+        until_ns = rig.clock.now() + 10_000_000_000
+        while rig.command(Verb.RESET) is not Refusal.NONE:
+            assert rig.clock.now() < until_ns
+        rig.run(6.0)
+        assert rig.loop.machine.fault is Fault.NONE
 
 
 def test_a_slip_unseen_by_the_encoder_is_not_reset_while_it_goes_on(settings: RigSettings, gains: Gains) -> None:

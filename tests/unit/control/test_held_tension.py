@@ -165,7 +165,7 @@ def test_between_two_speeds_a_fall_is_that_of_a_load_that_sinks(speed: float, si
 def test_what_slips_in_jerks_is_seen_too() -> None:
     held = Held(motor=False).run(5.0, lambda _t: 300.0)
     held.run(80.0, lambda t: 300.0 - 0.1 * K * math.floor(t / 3.0))
-    assert held.trips == {"fallen_n"}
+    assert held.trips == {"fallen_n", "sinks_n"}
 
 
 def test_the_reference_of_the_motor_goes_on_as_that_of_the_brake() -> None:
