@@ -91,7 +91,7 @@ VERBS = (
     ),
     VerbRow("arm", "verbs:arm", "Drive on, brake open, stroke held: DISARMED to HOLD."),
     VerbRow("tension", "verbs:tension", "Ramp to the target and hold it: TENSIONING, then COMPENSATING."),
-    VerbRow("release", "verbs:release", "Ramp to a slack rope, then HOLD."),
+    VerbRow("release", "verbs:release", "Ramp to a slack rope, then HOLD; or pay out MM of a slack rope."),
     VerbRow("hold", "hold:hold", "Stop and hold the stroke where it is."),
     VerbRow("disarm", "verbs:disarm", "Drive off, brake closed."),
     VerbRow("reset", "verbs:reset", "Acknowledge a fault whose cause is gone."),
@@ -102,6 +102,11 @@ VERBS = (
         signed=True,
     ),
     VerbRow("lower", "verbs:lower", "Where the brake does not hold: the motor lowers the load to a slack rope."),
+    VerbRow(
+        "brake-test",
+        "verbs:brake_test",
+        "Where the brake is known not to hold: it has the load for 10 s, then the motor; shows that it holds.",
+    ),
     VerbRow(
         "move",
         "verbs:move",

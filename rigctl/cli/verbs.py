@@ -47,6 +47,17 @@ Seconds = Annotated[
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
+Length = Annotated[
+    float | None,
+    typer.Argument(
+        metavar="MM",
+        parser=finite_number("millimetres"),
+        help="How far a slack rope is paid out, in HOLD, at 2 mm/s; without it the tension is ramped down.",
+    ),
+]
+Supported = Annotated[
+    bool, typer.Option("--supported", help="Confirm that the payload is supported from below. Required.")
+]
 By = Annotated[
     Literal["encoder", "cell"] | None,
     typer.Option("--by", help="Go by this alone, where encoder and tension disagree: see at the rig which is right."),
@@ -75,10 +86,15 @@ def tension(
 
 
 def release(
-    wait: Wait = False, json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None
+    length: Length = None,
+    wait: Wait = False,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
 ) -> None:
-    """Ramp to a slack rope, then HOLD."""
-    give_and_end("release", json, connect, rig, operator, wait=wait)
+    """Ramp to a slack rope, then HOLD; or pay out MM of a slack rope."""
+    give_and_end("release", json, connect, rig, operator, length, wait=wait)
 
 
 def disarm(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
@@ -108,6 +124,22 @@ def lower(
 ) -> None:
     """Where the brake does not hold: the motor lowers the load to a slack rope."""
     give_and_end("lower", json, connect, rig, operator, by=by or "")
+
+
+def brake_test(
+    supported: Supported = False,
+    json: Json = False,
+    connect: Connect = None,
+    rig: Rig = None,
+    operator: Operator = None,
+) -> None:
+    """Where the brake is known not to hold: it has the load for 10 s, then the motor; shows that it holds.
+
+    In HOLD on a tight rope. If the load moves by 0.05 mm the motor takes it back.
+    """
+    if not supported:
+        raise typer.BadParameter("support the payload from below first, the brake may let it go; then give --supported")
+    give_and_end("brake_test", json, connect, rig, operator, supported=True)
 
 
 def target(

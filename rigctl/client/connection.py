@@ -64,7 +64,7 @@ RESPONSE_S = 160.0  # a frequency response takes 90 s at most, its evaluation 60
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
 _HOLD = "hold"
-_LONGER = ("arm", "tension", "release", "carry", "lower", "tare", "calibrate", "identify")
+_LONGER = ("arm", "tension", "release", "carry", "lower", "brake_test", "tare", "calibrate", "identify")
 _LIMITS_S = {**dict.fromkeys(_LONGER, TRIAL_S), "gains": GAINS_S, "response": RESPONSE_S}
 
 

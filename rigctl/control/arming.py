@@ -1,4 +1,4 @@
-"""The sequence from an accepted command to the drive's power, with the brake test (IEC 61800-5-2: SBT) of an ARM.
+"""The sequence from an accepted command to the drive's power, with the brake test (IEC 61800-5-2: SBT).
 
 A stop ends in this order: the motor stops, the drive reports a state without power, the brake closes, the stroke
 stands still. The drive is not switched on before: CiA 402 lets a controller take a drive from QUICK STOP ACTIVE or
@@ -109,7 +109,7 @@ class ArmingStep(Enum):
 
 
 class Sequence:
-    """From an accepted command to the drive's power: the rows of `AWAITED`, then the brake test of an ARM.
+    """From an accepted command to the drive's power: the rows of `AWAITED`, then the test of an ARM or BRAKE_TEST.
 
     ``moved_mm`` and ``tension_n``: motion of the stroke and tension on the brake in the last test. ``tested``: True the
     brake has held, False the rope was too slack to test it, None no test.
@@ -125,17 +125,17 @@ class Sequence:
         self.moved_mm = self.tension_n = 0.0
         self.tested: bool | None = None
 
-    def begin(self, t_ns: int, *, arming: bool, at_rest: bool = True, brake_fails: bool = False) -> None:
-        """A command has been accepted. Only ``arming`` tests the brake: while it holds the load it is tested already.
+    def begin(self, t_ns: int, *, tests: bool, at_rest: bool = True, longer: bool = False) -> None:
+        """A command has been accepted. Only one that ``tests`` the brake does: a load that it holds is a test already.
 
-        ``at_rest``: the stroke has to stand still first, as it does unless the brake slips. ``brake_fails``: the brake
-        is known not to hold, so that the test is made on every rig, and is longer.
+        ``at_rest``: the stroke has to stand still first, as it does unless the brake slips. ``longer``: the test is
+        made on every rig, and is longer.
         """
-        self._lasts_ns = LONG_TEST_NS if brake_fails else BRAKE_TEST_NS
+        self._lasts_ns = LONG_TEST_NS if longer else BRAKE_TEST_NS
         self._awaited = AWAITED_CHECKS if at_rest else Check.SEQUENCE_RUNNING
         self._until_ns = t_ns + AWAIT_NS
         self._anchor_mm, self.tested = None, None
-        self._over = not (arming and (brake_fails or self._settings.cylinder.brake_test))
+        self._over = not (tests and (longer or self._settings.cylinder.brake_test))
 
     def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> ArmingStep:
         """One tick; READY lets the drive be switched on."""

@@ -6,7 +6,7 @@ import sys
 from itertools import product
 
 from rigctl.control import load_at_rest
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
 from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import ENDS, FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.escalation import STEPS
@@ -18,6 +18,7 @@ from rigctl.control.orders import RECHECK_NS
 from rigctl.control.parking import REST_NS, UNDO_MM, UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
+from rigctl.control.tension import PAYS_OUT_MM_S
 
 _LOAD_REST_S = load_at_rest.REST_NS * 1e-9
 _ENDS = "\n".join(f"- {fault.name}" for fault in sorted(ENDS))
@@ -51,6 +52,8 @@ _EVENTS = {
     Event.RESET_OFF: "`reset`, not armed or taken off power",
     Event.STOP: "daemon stops",
     Event.RAMP_DOWN: "limit asks for a ramp down",
+    Event.UNTESTED: "target reached, the brake fails",
+    Event.PAY_OUT: "`release` MM",
     Event.LOWER: "`lower`, or the time of `carry` is over",
 }
 _ACTIONS = {
@@ -94,6 +97,9 @@ drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for
 again; `tare` and `calibrate` measure on the brake, which takes the load for them at standstill. A rig without a brake
 (`cylinder.brake_waiver`) is held by the motor.
 
+`release` MM pays out so much of a slack rope, in HOLD, at {PAYS_OUT_MM_S:g} mm/s: the way back of a cylinder that has
+reached the end of its stroke without a load (`reset`, or `arm --near-end`, leads to HOLD).
+
 `tension`, `release`, {_TRIALS} take a parked load back first: drive on, motor carries, brake open, motion. The command
 is answered when the motion begins, with "taking the load from the brake" and the time that it took. A refusal leaves
 the brake closed. While the drive comes on, also by `arm`, the rows of HOLD are watched: a loss is a FAULT, and the
@@ -125,7 +131,9 @@ It also sets the flag `brake_fails`: the brake is known not to hold. BRAKE_SLIPS
 {FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s while the encoder is in doubt. No reset clears it,
 only a brake test: {LONG_TEST_NS * 1e-9:g} s of `arm` with at least {TESTED_SHARE:.0%} of the load at which the brake
 slipped (of `tension.target_max_n` where that is not known). If the load moves in that test, the motor takes it. With a
-slack rope the flag stays, and `arm` is accepted.
+slack rope the flag stays, and `arm` is accepted; `tension` then ends in HOLD in place of COMPENSATING, for
+`brake-test`: with the payload supported from below, the brake has the load for the same {LONG_TEST_NS * 1e-9:g} s, and
+the motor takes it back, in FAULT where it has moved by {BRAKE_TEST_MM:g} mm.
 
 While the flag is set the operator has two commands in FAULT, HOLD and DISARMED; outside FAULT they latch BRAKE_SLIPS
 first:

@@ -16,7 +16,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb, Witness
-from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
+from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.devices.objects import STATUSWORD, DriveState
@@ -123,6 +123,8 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RESET_OFF: "reset, not armed before",
     Event.STOP: "daemon stopping",
     Event.RAMP_DOWN: "ramp down",
+    Event.UNTESTED: "target reached; rigctl brake-test comes first, the brake is known not to hold",
+    Event.PAY_OUT: "release of a slack rope commanded",
     Event.LOWER: "the motor lowers the load, the brake does not hold it",
 }
 
@@ -270,6 +272,7 @@ def _drive_state(value: float) -> str:
 
 _RANGES: dict[Verb, str] = {
     Verb.MOVE: "the number of a move is 1 to learning.moves of the rig file, 0 for the end of the one under way",
+    Verb.RELEASE: f"the length must leave the cylinder inside its stroke, {STROKE_SPARE_MM:g} mm from its end",
     Verb.CARRY: f"the time must be {CARRY_S[0]:g} to {CARRY_S[1]:g} s",
 }
 _PLAIN_TEXT = {
@@ -286,6 +289,9 @@ _PLAIN_TEXT = {
     Refusal.NO_STEP: "no weight was hung on the cell, or taken off it, 2 s to 2 min after the command",
     Refusal.NO_LEARNING: "the rig file has no section learning, so nothing would be learnt from the move",
     Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
+    Refusal.TIGHT: "the rope is tight: release without a length ramps the tension down",
+    Refusal.LITTLE_LOAD: "a brake test needs at least {:.0f} N on the rope to show that the brake holds: rigctl "
+    "target, then rigctl tension, which ends in HOLD",
     Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; it was ended",
     Refusal.UNFELT: "the stroke moved and the cell did not show it: look at cell and rope; it was ended",
 }
@@ -307,8 +313,10 @@ _HINT: dict[tuple[Mode, Verb], str] = {
     **{
         (mode, verb): ": hold first"
         for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-        for verb in (Verb.DISARM, *TRIED_IN)
+        for verb in (Verb.DISARM, Verb.BRAKE_TEST, *TRIED_IN)
     },
+    **{(mode, Verb.RELEASE): ": a length is paid out in HOLD" for mode in (Mode.TENSIONING, Mode.COMPENSATING)},
+    (Mode.DISARMED, Verb.BRAKE_TEST): ": arm on a tight rope tests it",
     **{
         (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
         for mode in (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

@@ -26,7 +26,7 @@ from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
 from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
-from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Witness
+from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Verb, Witness
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
@@ -235,7 +235,7 @@ class Loop:
         self._park(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             if self._signs.passed:
-                machine.on(Event.TENSIONED)
+                machine.on(Event.UNTESTED if self.brake.fails else Event.TENSIONED)
             elif not self._signs.probe_mm_s:
                 self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
         elif machine.mode is Mode.RELEASING and self._lowered(estimate):
@@ -251,12 +251,15 @@ class Loop:
             if change.before is Mode.FAULT:
                 self._stroke_hold.follow()  # motion acknowledged
                 self._held_tension.follow()
+                self.observer.forget_sinking()
             if change.after is Mode.COMPENSATING:
                 self._travel_from = estimate.stroke_mm, law.setpoint_n
             if change.after in (Mode.TENSIONING, Mode.RELEASING):
                 self.brake.follow()
                 law.begin(estimate.tension_n * self.observer.cosine, estimate.speed_mm_s)
-                self._signs.begin(estimate.stroke_mm, self.observer.tension_n)
+                self._signs.begin(estimate.stroke_mm, self.observer.tension_n, estimate.speed_mm_s)
+            if change.event is Event.PAY_OUT:
+                law.pay_out(estimate.stroke_mm, self._orders.length_mm)
 
     def _take_orders(self, t_ns: int) -> None:
         """HOLD comes first, so that no queue of commands delays it."""
@@ -267,6 +270,8 @@ class Loop:
             for slot in self._commands.read(COMMANDS_PER_TICK):
                 if self._orders.take(slot, t_ns):
                     self._commanded_ns = t_ns
+            if self.machine.pending is Verb.BRAKE_TEST and self.observer.snapshot.drive_enabled:
+                self._first_second.begin(self.observer.snapshot)
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
@@ -441,6 +446,7 @@ class Loop:
         if self.machine.undo_parking(trip, t_ns):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
+            self._orders.note_slip(first.sank_mm)
             self.brake.set(f"it has slipped by {first.sank_mm:.2f} mm right after a parking")
             self._carried.begin(Witness.BOTH, self._watch.standing, self.observer.snapshot)
         first.end()

@@ -196,8 +196,10 @@ class Machine:
         """
         stopped = self.fault is not Fault.NONE and self.action > Action.HOLD
         parked = self.armed and not self._powered and self.mode in (Mode.HOLD, Mode.FAULT)
-        if not parked or stopped or self.stopping or self._pending is not None:
+        tests = self.awaiting and self.pending is Verb.BRAKE_TEST
+        if not parked or stopped or self.stopping or (self._pending is not None and not tests):
             return False
+        self._finish_pending(Refusal.BRAKE_SLIPPED)
         self.trip(trip, t_ns)
         self._pending = PendingCommand(None, Verb.CARRY, None, LOWERED_NS)
         self._pending_until = t_ns + ARM_LIMIT_NS
@@ -264,6 +266,8 @@ class Machine:
             return self._answer(id_, verb, decision.refusal)
         self._end_others(verb)
         carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
+        if verb is Verb.BRAKE_TEST:
+            self.park()
         if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self._powered):
             event = Event.ENABLED if verb is Verb.ARM else decision.event
             self._pending = PendingCommand(id_, verb, event, carry_ns)

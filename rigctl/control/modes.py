@@ -158,6 +158,8 @@ class Event(IntEnum):
     STOP = 10  # the process is to end
     RAMP_DOWN = 11  # a limit whose action is to ramp the tension down
     LOWER = 12  # the motor lowers a load that the brake does not hold
+    UNTESTED = 13  # ramp over on a brake that is known not to hold: it is to be tested first
+    PAY_OUT = 14  # a slack rope is made longer
 
 
 class Verb(IntEnum):
@@ -179,6 +181,7 @@ class Verb(IntEnum):
     MOVE = 14  # a move of the mechanism begins, or the one under way has ended
     CARRY = 15  # the motor holds a load that the brake does not hold
     LOWER = 16  # the motor lowers such a load until the rope is slack
+    BRAKE_TEST = 17  # the brake has the load for 10 s, then the motor again
 
 
 class Setting(IntEnum):
@@ -196,6 +199,7 @@ class Setting(IntEnum):
 
 VALUES: dict[int, tuple[str, ...]] = {
     Verb.ARM: ("near_end",),
+    Verb.RELEASE: ("length_mm",),
     Verb.TARGET: ("target_n",),
     Verb.CALIBRATE: ("weight_n", "creep_s"),
     Verb.IDENTIFY: ("tight",),
@@ -257,6 +261,8 @@ class Refusal(IntEnum):
     CARRIED = 100  # the motor carries a load that the brake does not hold; value: time left in s
     DRIVE_STATE = 102  # the drive has not left its fault state; value: its state, see DriveState
     OFF_UNSEEN = 103  # the drive was commanded off, and has not been seen to be; value: its state
+    TIGHT = 104  # a length is paid out on a slack rope only
+    LITTLE_LOAD = 105  # too little for a brake test to show anything; value: load that it needs in N
     DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
 
@@ -273,6 +279,10 @@ class Situation:
     e_stop: bool = False  # pressed
     brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
     disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
+    little_load: bool = False  # for a test of a brake that is known not to hold
+    at_rest: bool = False  # the stroke has stood still
+    length_mm: float = 0.0  # of a RELEASE: how far a slack rope is paid out; 0: a ramp to slack
+    room_mm: float = math.nan  # how far the cylinder may pay out
     by: float = 0.0  # of a CARRY or LOWER: the witness that the operator names
     drive_faulted: bool = False
     drive_unfit: bool = False  # by a fault of feedback, brake or power stage
@@ -312,6 +322,22 @@ def cause_gone(situation: Situation) -> Refusal:
 def rope_tight(situation: Situation) -> Refusal:
     """The rope is tight, so that there is tension to release."""
     return Refusal.ALREADY if situation.slack else Refusal.NONE
+
+
+def length_payable(situation: Situation) -> Refusal:
+    """The rope is slack, and the length leaves the cylinder inside its stroke."""
+    if not situation.slack:
+        return Refusal.TIGHT
+    return Refusal.NONE if 0.0 < situation.length_mm <= situation.room_mm else Refusal.OUT_OF_RANGE
+
+
+def brake_testable(situation: Situation) -> Refusal:
+    """The rope is tight, the stroke at rest, and there is load enough for the test to show something."""
+    if situation.slack:
+        return Refusal.SLACK
+    if not situation.at_rest:
+        return Refusal.UNSTEADY
+    return Refusal.LITTLE_LOAD if situation.little_load else Refusal.NONE
 
 
 def motor_carries(situation: Situation) -> Refusal:
@@ -429,7 +455,9 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.HOLD, Event.TENSION): Transition(Mode.TENSIONING),
     (Mode.HOLD, Event.RELEASE): Transition(Mode.RELEASING, rope_tight),
     (Mode.HOLD, Event.DISARM): Transition(Mode.DISARMED),
+    (Mode.HOLD, Event.PAY_OUT): Transition(Mode.RELEASING, length_payable),
     (Mode.TENSIONING, Event.TENSIONED): Transition(Mode.COMPENSATING),
+    (Mode.TENSIONING, Event.UNTESTED): Transition(Mode.HOLD),
     (Mode.TENSIONING, Event.RELEASE): Transition(Mode.RELEASING),
     (Mode.COMPENSATING, Event.RELEASE): Transition(Mode.RELEASING),
     (Mode.RELEASING, Event.TENSION): Transition(Mode.TENSIONING, no_fault_latched),
@@ -479,6 +507,7 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
     (Mode.FAULT, Verb.CARRY): motor_may_carry,
     **{(mode, Verb.CARRY): brake_fails_to_carry for mode in (Mode.DISARMED, Mode.HOLD)},  # BRAKE_SLIPS is latched first
     **{(mode, Verb.LOWER): brake_fails_to_lower for mode in (Mode.DISARMED, Mode.HOLD)},
+    (Mode.HOLD, Verb.BRAKE_TEST): brake_testable,
     **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
     **{(mode, Verb.GAINS): None for mode in Mode},
     **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
@@ -489,7 +518,9 @@ WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
 
 WHILE_DISARMING = frozenset({Verb.TARGET, Verb.GAINS, Verb.DISARM})
 """Commands that leave a DISARM under way as it is."""
-NEEDS_MOTOR = frozenset({Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER})
+NEEDS_MOTOR = frozenset(
+    {Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER, Verb.BRAKE_TEST}
+)
 """With the load on the brake, these first have the motor take it back."""
 ENDS_PENDING = frozenset({Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
 """Accepted, these end a command that waits for the drive or for its read-back."""
@@ -522,6 +553,8 @@ def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
     if (mode, verb) in WITHOUT_EVENT:
         return _guarded(WITHOUT_EVENT[mode, verb], None, situation)
     event = _EVENT_OF.get(verb)
+    if verb is Verb.RELEASE and situation.length_mm:
+        event = Event.PAY_OUT
     if verb is Verb.RESET:
         event = Event.RESET_HELD if situation.armed and not situation.drive_faulted else Event.RESET_OFF
     if event is Event.HOLD and mode is Mode.RELEASING and situation.fault_latched:

@@ -288,6 +288,10 @@ class Observer:
         unseen = snapshot.drive_may_be_on and not fresh
         snapshot.unseen_mm = snapshot.unseen_mm + speed_mm_s * passed_s if unseen else 0.0
 
+    def forget_sinking(self) -> None:
+        """What the stroke did on the brake before now is acknowledged."""
+        self._sinking.forget()
+
     def look_at_settings(self) -> None:
         """Take from the read-back which settings of the devices are lost."""
         snapshot, readback = self.snapshot, self._readback

@@ -56,8 +56,11 @@ _BARS_CARRY = Check.E_STOP | Check.E_STOP_IO | Check.DRIVE_STALE | Check.RIVAL
 """Checks that bar a motor from carrying a load that its brake does not hold; all else concerns other motion."""
 _BY_CELL = Check.CELL_STALE | Check.CELL_INVALID | Check.CELL_IMPLAUSIBLE
 """... and those that bar it where the cell alone is to show the load."""
-_SHOWS_DRIVE = frozenset({Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN})
-"""Refusals whose reply has the state of the drive."""
+_ABOUT_DRIVE = frozenset(
+    {Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN, Refusal.BRAKE_SLIPPED, Refusal.LITTLE_LOAD,
+     Refusal.STOP_RUNNING}
+)  # fmt: skip
+"""Refusals whose reply has a figure of drive or brake."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
@@ -112,6 +115,7 @@ class Orders:
         self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found: _Values = {}  # figures of the last trial
         self._taking: tuple[int, int] | None = None  # the command for which the motor takes the load, and since when
+        self.length_mm = 0.0  # of the last RELEASE
         self._taken_s = math.nan  # how long that took, where a trial went on after it
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
@@ -180,13 +184,15 @@ class Orders:
             return
         step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
         if step is arming.ArmingStep.SLIPPED:
+            verb = machine.pending
             machine.refuse_pending(Refusal.BRAKE_SLIPPED)
             trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
-            tested_again = self._brake.fails  # a load on a brake that fails the test for the second time is the motor's
+            # A load on a brake that fails the test for the second time is the motor's, as is one that it had before.
+            back = self._brake.fails or verb is Verb.BRAKE_TEST
             self._brake.set("the brake test has failed")
-            if tested_again and not self._barring(Verb.CARRY):
+            if back and not self._barring(Verb.CARRY):
                 self._carried.begin(Witness.BOTH, self._watch.standing, snapshot)
                 machine.carry_back(t_ns)
         elif step is arming.ArmingStep.LATE or self._barring() & ~arming.AWAITED_CHECKS:
@@ -204,6 +210,10 @@ class Orders:
         for given in answers:
             self._reply_to(t_ns, given if self._machine.fault is Fault.NONE else self._tripped(given))
 
+    def note_slip(self, moved_mm: float) -> None:
+        """The load has moved by so much on the closed brake in the brake test under way, before its 10 s began."""
+        self._sequence.moved_mm = moved_mm
+
     def _tripped(self, given: Answer) -> Answer:
         """A trip that no check names has ended the command: its cause is the answer."""
         tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.verb)
@@ -214,12 +224,8 @@ class Orders:
         if given.refusal is Refusal.PREFLIGHT:
             failing = self._barring(given.verb)
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
-        elif given.refusal is Refusal.BRAKE_SLIPPED:
-            figures = {"moved_mm": self._sequence.moved_mm}
-        elif given.refusal in _SHOWS_DRIVE:
-            figures = {"drive_state": float(drive_state(self._observer.inbox.statusword))}
-        elif given.refusal is Refusal.STOP_RUNNING:
-            figures = {"speed_mm_s": self._observer.inbox.speed_mm_s}
+        elif given.refusal in _ABOUT_DRIVE:
+            figures = self._of_drive(given.refusal)
         elif given.refusal is Refusal.CAUSE_PRESENT:
             figures = {"cause": float(self._watch.present(self._observer.snapshot))}
             checks = self._watch.blocking(self._observer.snapshot)
@@ -229,6 +235,8 @@ class Orders:
             figures = {"carried_s": max(0, self._machine.carry_until_ns - t_ns) * 1e-9}
         elif given.refusal is Refusal.LOADED:
             figures = {"reading_n": self._observer.inbox.reading_n}
+        elif given.verb is Verb.BRAKE_TEST and given.refusal is Refusal.NONE:
+            figures = {"tension_n": self._sequence.tension_n}
         elif given.verb is Verb.MOVE and self._learning is not None:
             figures = {"taught": float(self._learning.taught)}
         elif given.verb is Verb.CONFIRM_STROKE:
@@ -238,6 +246,18 @@ class Orders:
         elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
             figures = self._found
         self._reply(t_ns, given.id, given.refusal, checks, {**figures, **self._taken(t_ns, given)})
+
+    def _of_drive(self, refusal: Refusal) -> dict[str, float]:
+        """The figure that a refusal on account of drive or brake is about."""
+        match refusal:
+            case Refusal.BRAKE_SLIPPED:
+                return {"moved_mm": self._sequence.moved_mm}
+            case Refusal.LITTLE_LOAD:
+                return {"needed_n": self._brake.wanted_n}
+            case Refusal.STOP_RUNNING:
+                return {"speed_mm_s": self._observer.inbox.speed_mm_s}
+            case _:
+                return {"drive_state": float(drive_state(self._observer.inbox.statusword))}
 
     def _taken(self, t_ns: int, given: Answer) -> dict[str, float]:
         """How long the motor took to take the load from the brake for this command, if it did."""
@@ -377,6 +397,10 @@ class Orders:
             carried=machine.carry_until_ns > 0,
             e_stop=snapshot.e_stop != 0,
             brake_fails=self._brake.fails,
+            little_load=self._brake.fails and snapshot.tension_n < self._brake.wanted_n,
+            at_rest=snapshot.still_ns >= arming.STILL_NS,
+            length_mm=length if (length := values.get("length_mm", 0.0)) == length else 0.0,
+            room_mm=snapshot.stroke_mm - settings.cylinder.stroke_min_mm - safety.STROKE_SPARE_MM,
             disagree=snapshot.sink_apart_mm > 0.0,
             by=by if (by := values.get("by", 0.0)) == by else 0.0,
             drive_faulted=snapshot.drive_faulted,
@@ -407,10 +431,15 @@ class Orders:
             machine.awaiting = True
             self._taking, self._taken_s = None if verb is Verb.ARM else (id_, since_ns or t_ns), math.nan
             self._sequence.begin(
-                t_ns, arming=verb is Verb.ARM, at_rest=machine.mode is not Mode.FAULT, brake_fails=self._brake.fails
+                t_ns,
+                tests=verb in (Verb.ARM, Verb.BRAKE_TEST),
+                at_rest=machine.mode is not Mode.FAULT,
+                longer=self._brake.fails or verb is Verb.BRAKE_TEST,
             )
         self.trial, self.powered_until_ns = None, 0
         self._values = values
+        if verb is Verb.RELEASE:
+            self.length_mm = situation.length_mm
         if machine.trial is not None:
             self._begin_trial(machine.trial, t_ns)
         if fault is not machine.fault:

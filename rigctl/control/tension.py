@@ -24,6 +24,7 @@ SETTLED_FRACTION = 0.005  # of the target: tensioning ends within this error
 RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
 INTEGRAL_STRETCH_MM = 0.05
 """Largest error in the integral, as stretch: the feedback corrects a jolt, and the integral leaves no tail of it."""
+PAYS_OUT_MM_S = 2.0  # a slack rope whose length is stated
 PAY_OUT_SPARE_MM = 1.0  # rope paid out beyond the last stretch, so that the rope is surely slack
 _SPEED, _STROKE = Flag.LIMITED_SPEED.value, Flag.LIMITED_STROKE.value  # as numbers: an IntFlag's | costs 1 us
 _ACCELERATION = Flag.LIMITED_ACCELERATION.value
@@ -102,11 +103,16 @@ class TensionLaw:
         self._slope_n_s = self._slope_of(speed_mm_s)
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
         self._slack_stroke_mm = None
+        self._spare_mm, self._pays_mm_s = self._pay_out_mm, self._take_up
 
     def begin(self, vertical_n: float, speed_mm_s: float) -> None:
         """Enter TENSIONING or RELEASING."""
         self._tight = self.rope_lost = False
         self.start_ramp(vertical_n, speed_mm_s)
+
+    def pay_out(self, stroke_mm: float, length_mm: float) -> None:
+        """After `begin`, on a slack rope: pay out so much from this stroke on, and no more."""
+        self._slack_stroke_mm, self._spare_mm, self._pays_mm_s = stroke_mm, length_mm, PAYS_OUT_MM_S
 
     @property
     def gains(self) -> Gains:
@@ -140,6 +146,7 @@ class TensionLaw:
     def hold(self, estimate: Estimate, correction_mm_s: float = 0.0) -> float:
         """Hold the stroke: the correction of `rigctl.control.stroke_hold`, reached at the acceleration limit."""
         self.integral_mm_s = self._error_n = self._speed_error_mm_s = 0.0
+        self._slack_stroke_mm = None  # of a release that is over
         return self.limited(correction_mm_s, estimate.stroke_mm)
 
     def tensioning(self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0) -> float:
@@ -169,7 +176,7 @@ class TensionLaw:
             return self._closed(estimate, cosine, self._ramp_towards(0.0))
         if self._slack_stroke_mm is None:
             self._slack_stroke_mm = estimate.stroke_mm
-        return self.limited(-self._take_up, estimate.stroke_mm)
+        return self.limited(-self._pays_mm_s, estimate.stroke_mm)
 
     def tensioned(self, estimate: Estimate) -> bool:
         """The ramp has ended and the tension is on the target."""
@@ -179,7 +186,7 @@ class TensionLaw:
     def slack(self, estimate: Estimate) -> bool:
         """The rope is slack, with rope to spare."""
         start = self._slack_stroke_mm
-        return start is not None and estimate.stroke_mm < start - self._pay_out_mm
+        return start is not None and estimate.stroke_mm < start - self._spare_mm
 
     # -- the law itself -----------------------------------------------------------------------------------------
     def _slope_of(self, speed_mm_s: float) -> float:

@@ -22,7 +22,8 @@ from rigctl.wire.state_words import measured, number
 
 CONFIRM_S = 15.0
 VERBS = ("hold", *(verb.name.lower() for verb in POSSIBLE))
-WITH_VALUE = ("target", "carry")
+WITH_VALUE, OPTIONAL = ("target", "carry"), ("release",)
+"""Commands with a number, and those that may have one."""
 Answer = dict[str, Any]
 
 
@@ -50,6 +51,8 @@ def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
             what = f"drive on, brake open, stroke held at {stroke} with {now} on the rope"
         case "tension":
             what = f"ramp from {now} to {target} and hold it; the stroke moves from {stroke}"
+        case "release" if value is not None:
+            what = f"pay out {number(value, 1, 'mm')} of the slack rope; the stroke moves from {stroke}"
         case "release":
             what = f"ramp from {now} down to a slack rope; the stroke moves from {stroke}"
         case "disarm":
@@ -118,7 +121,7 @@ class PageCommands:
         """
         if verb not in VERBS:
             raise RefusedError(f"found the command {verb[:40]!r}, expected {', '.join(VERBS)}")
-        if (value is not None) != (verb in WITH_VALUE):
+        if (value is not None) != (verb in WITH_VALUE) and verb not in OPTIONAL:
             found = "no value" if value is None else "a value"
             raise RefusedError(f"found {found}, expected with {' and '.join(WITH_VALUE)} alone")
         if verb == "hold":

@@ -14,6 +14,7 @@ import msgspec
 from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line
 from rigctl.config.quantity import significant
+from rigctl.control.arming import LONG_TEST_NS
 from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
 from rigctl.control.faults import Fault
@@ -31,12 +32,17 @@ REGULATED = {"hold": 0.0, "compensating": 1.0}
 """Where a RESPONSE may be measured, and the number in its slot."""
 WITNESSES = {"": Witness.BOTH, "encoder": Witness.ENCODER, "cell": Witness.CELL}
 """What a CARRY or LOWER goes by, as the operator names it."""
+_OPTIONS = (
+    "value", "shunt", "adopt", "tight", "near_end", "supported", "creep_s", "where", "by", "gain_file", "name",
+)  # fmt: skip
 PAYLOAD_BYTES = 16_384  # room for a gain file
 _ALLOWED = '{"operator": "NAME"}'
 _ALLOWED_MORE = {
     Verb.ARM: '{"operator": "NAME"} and "near_end": true',
     Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
     Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
+    Verb.RELEASE: '{"operator": "NAME"} and "value": MILLIMETRES of a slack rope',
+    Verb.BRAKE_TEST: '{"operator": "NAME", "supported": true}',
     Verb.MOVE: '{"operator": "NAME", "value": NUMBER}',
     Verb.CARRY: '{"operator": "NAME", "value": SECONDS} and "by": "encoder" or "cell"',
     Verb.LOWER: '{"operator": "NAME"} and "by": "encoder" or "cell"',
@@ -60,6 +66,7 @@ class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
     adopt: bool = False
     tight: bool = False
     near_end: bool = False
+    supported: bool = False
     creep_s: float | None = None
     where: str = ""
     by: str = ""
@@ -73,11 +80,12 @@ class Request:
     """A command as an operator gives it.
 
     ``value``: target of TARGET or known weight of CALIBRATE in N, stroke of CONFIRM_STROKE in mm,
-    number of a MOVE, time of a CARRY in s, else NaN.
+    number of a MOVE, time of a CARRY in s, length of a RELEASE of a slack rope in mm, else NaN.
     ``shunt``: CALIBRATE compares with the shunt. ``adopt``: it sets a new scale, or the creep. ``creep_s``: it records
     the creep for so long, NaN for a mean. ``tight``: IDENTIFY needs a tight rope. ``near_end``: ARM at an end of the
     stroke, to drive away from it. ``where``: RESPONSE only in that mode, hold or compensating; empty for the mode that
-    it is in. ``by``: CARRY or LOWER by encoder or cell alone; empty for both.
+    it is in. ``supported``: BRAKE_TEST has the payload supported from below.
+    ``by``: CARRY or LOWER by encoder or cell alone; empty for both.
     ``gain_file``, ``name``: text and name of a gain file, for GAINS.
     ``lease``: id of the lease it is given under, None without one.
     ``run_id``: run of the daemon it is meant for, empty for any.
@@ -93,6 +101,7 @@ class Request:
     gain_file: str = ""
     name: str = ""
     near_end: bool = False
+    supported: bool = False
     where: str = ""
     run_id: str = ""
     creep_s: float = math.nan
@@ -184,11 +193,13 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     found = decoded(payload, _CommandPayload, allowed)
     operator = operator_of(found.operator)
     _, options = MEANINGS[verb]
-    for name in ("value", "shunt", "adopt", "tight", "near_end", "creep_s", "where", "by", "gain_file", "name"):
+    for name in _OPTIONS:
         if name not in options and getattr(found, name) not in (None, False, ""):
             raise RequestError(f"found {name}, expected {allowed}")
     if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
         raise RequestError(f"found no gain file with a name, expected {allowed}")
+    if verb is Verb.BRAKE_TEST and not found.supported:
+        raise RequestError(f"found no supported: true, which says that the payload is, expected {allowed}")
     if found.where not in ("", *REGULATED):
         raise RequestError(f"found where: {found.where[:40]!r}, expected {' or '.join(REGULATED)}")
     if found.by not in WITNESSES:
@@ -252,6 +263,7 @@ _DONE = {
     Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
     Verb.CARRY: "the motor carries the load for {value:.0f} s and lowers it then, {mode}",
     Verb.LOWER: "the motor lowers the load until the rope is slack, {mode}",
+    Verb.BRAKE_TEST: f"the brake has held {{value:.0f}} N for {LONG_TEST_NS * 1e-9:g} s, the motor has it, {{mode}}",
     Verb.MOVE: "learnt from {value:.0f} moves so far, {mode}",
     Verb.GAINS: "{mode}",
 }
@@ -261,9 +273,12 @@ _ANEW = "the loop ends, and the next one starts all devices up; it is DISARMED o
 """To a RESET of the silence, which leaves the fault to the loop that ends."""
 
 
-def _done(verb: Verb, mode: Mode, value: float, newest: NewestRecord) -> str:
+def _done(request: Request, mode: Mode, value: float, newest: NewestRecord) -> str:
+    verb = request.verb
     if verb is Verb.RESET and mode is Mode.FAULT:
         return _ANEW
+    if request.value > 0.0 and verb is Verb.RELEASE:
+        return f"paying out {request.value:.1f} mm of rope, {mode.name}"
     return _DONE[verb].format(
         mode=mode.name,
         latched=", the fault stays latched" if mode is Mode.FAULT else "",
@@ -327,7 +342,7 @@ def answer(
     if reply["accepted"]:
         taken_s = float(reply["taken_s"])
         first = f"taking the load from the brake, {taken_s:.1f} s; " if math.isfinite(taken_s) else ""
-        text = f"{verb.name}: {first}{_done(verb, mode, value, newest)}"
+        text = f"{verb.name}: {first}{_done(request, mode, value, newest)}"
         if verb is Verb.ARM and waived:
             text += f"; waived: {_by_words(waived)}"
             about["waived"] = {_plain(check): words for check, words in waived.items()}

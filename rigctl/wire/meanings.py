@@ -124,13 +124,14 @@ PAYLOAD: Rows = (
         "number",
         "",
         "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm; the number of a move; "
-        "the time of carry in s",
+        "the time of carry in s; the length of rope of release in mm",
     ),
     ("shunt", "boolean", "", "calibrate against the shunt"),
     ("adopt", "boolean", "", "calibrate sets the scale, or with creep_s the creep"),
     ("creep_s", "number", "s", "calibrate records the cell's creep for so long after the load's step"),
     ("tight", "boolean", "", "identify only a tight rope"),
     ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
+    ("supported", "boolean", "", "brake_test: the payload is supported from below; required"),
     ("where", "string", "", "response only in that mode: hold or compensating"),
     ("by", "string", "", "carry and lower by one witness alone: encoder or cell"),
     ("gain_file", "string", "", "text of a gain file"),
@@ -170,7 +171,7 @@ ANSWER: Rows = (
 VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.ARM: ("drive on, stroke held", ("near_end",)),
     Verb.TENSION: ("ramp to the target, then compensate", ()),
-    Verb.RELEASE: ("ramp to slack, then hold", ()),
+    Verb.RELEASE: ("ramp to slack, then hold; a slack rope: pay out so much, then hold", ("value",)),
     Verb.HOLD: ("hold the stroke at once; anyone's, always, without a lease", ()),
     Verb.DISARM: ("drive off, brake closed", ()),
     Verb.RESET: ("acknowledge a latched fault whose cause is gone", ()),
@@ -182,6 +183,7 @@ VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
     Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
     Verb.CARRY: ("the motor carries a load that the brake does not hold, so long", ("value", "by")),
     Verb.LOWER: ("the motor lowers such a load until the rope is slack", ("by",)),
+    Verb.BRAKE_TEST: ("the brake has the load for 10 s, which clears that it fails; then the motor", ("supported",)),
     Verb.MOVE: ("a move of the mechanism begins; 0: the one under way has ended", ("value",)),
     Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
 }

@@ -215,6 +215,9 @@ def _steps(
         clears = [Instruction("RESET clears the drive's own fault.", "reset")] if not verbs["reset"] else []
         ready = "ARM." if not verbs["arm"] else "ARM, once nothing bars it."
         return (Instruction("See that the hall is empty."), *barred, *clears, Instruction(ready, "arm"))
+    if mode_name == "HOLD" and BRAKE_FAILS in state.get("flag_names", []):
+        test = "Support the payload from below; rigctl brake-test shows whether the brake holds."
+        return Instruction(_HALL), Instruction(test), Instruction("RELEASE lowers the load.", "release")
     if mode_name == "HOLD":
         return Instruction("See that the hall is empty."), Instruction("TENSION, or RELEASE, or DISARM.", "tension")
     last = (Instruction("RELEASE ends the run.", "release"),) if not verbs["release"] else ()

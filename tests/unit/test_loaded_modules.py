@@ -37,8 +37,8 @@ SLOW = {"numpy", "zenoh", "pydantic", "pydantic_core", "scipy", "yaml", "rich", 
 PARSERS = {"typer", "click", "argparse", "msgspec", "dataclasses", "inspect"}
 STATUS_NEEDS = {"numpy", "zenoh", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
 SHARED = {
-    **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "carry", "lower", "move", "target",
-                     "confirm-stroke", "tare",
+    **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "carry", "lower", "brake-test", "move",
+                     "target", "confirm-stroke", "tare",
                      "calibrate", "identify", "gains"), ("rigctl.cli.lease", "rigctl.cli.verbs")),
     **dict.fromkeys(("replay", "report"), ("rigctl.cli.recordings",)),
 }  # fmt: skip

@@ -1,5 +1,6 @@
 // Commands, where this browser has signed in to a page with operator rights. The server checks everything again.
-const VALUES = { target: "newtons", carry: "seconds" }; // commands with a number, and where it is entered
+const VALUES = { target: "newtons", carry: "seconds", release: "millimetres" }; // commands with a number, and where it is entered
+const OPTIONAL = ["release"]; // a number that may be left out
 const byId = (id) => document.getElementById(id);
 
 export class Commands {
@@ -42,6 +43,7 @@ export class Commands {
     if (state.mode === "FAULT" && this.mode !== undefined && this.mode !== "FAULT") this.say("", true);
     this.mode = state.mode;
     for (const node of document.querySelectorAll(".in-fault")) node.classList.toggle("away", state.mode !== "FAULT");
+    byId("millimetres").classList.toggle("away", state.mode !== "HOLD");
     this.verbs(state);
     byId("hold").classList.toggle("dead", Boolean(state.hold_dead)); // undefined would change it at every message
     byId("hold").title = state.hold_dead ? state.hold : "";
@@ -68,7 +70,8 @@ export class Commands {
     this.say(`${verb.toUpperCase()} ...`, true);
     const asked = performance.now();
     const body = { verb, reason };
-    if (verb in VALUES) {
+    const left = OPTIONAL.includes(verb) && !byId(VALUES[verb]).value;
+    if (verb in VALUES && !left) {
       body.value = byId(VALUES[verb]).valueAsNumber;
       if (!Number.isFinite(body.value)) return this.say(`${verb.toUpperCase()}: found no number of ${VALUES[verb]}`, false);
     }

@@ -30,7 +30,7 @@ REST = Snapshot(tension_n=300.0, stroke_mm=50.0, off_ns=BRAKE_NS, still_ns=STILL
 
 def begun() -> Sequence:
     sequence = Sequence(SETTINGS)
-    sequence.begin(1 * S, arming=True)
+    sequence.begin(1 * S, tests=True)
     return sequence
 
 

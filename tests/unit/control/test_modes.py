@@ -43,6 +43,7 @@ READY = Situation(
     target_max_n=350.0,
     moves=2,
     carry_s=60.0,
+    at_rest=True,
 )
 
 
@@ -107,7 +108,16 @@ def test_what_took_the_power_off_is_armed_anew(action: Action) -> None:
 
 ACCEPTED = {
     Mode.DISARMED: {Verb.ARM, Verb.GAINS, Verb.TARGET, Verb.TARE, Verb.CALIBRATE, Verb.CONFIRM_STROKE},
-    Mode.HOLD: {Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.DISARM, Verb.GAINS, Verb.TARGET, *TRIED_IN},
+    Mode.HOLD: {
+        Verb.TENSION,
+        Verb.RELEASE,
+        Verb.HOLD,
+        Verb.DISARM,
+        Verb.GAINS,
+        Verb.TARGET,
+        Verb.BRAKE_TEST,
+        *TRIED_IN,
+    },
     Mode.TENSIONING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET},
     Mode.COMPENSATING: {Verb.RELEASE, Verb.HOLD, Verb.GAINS, Verb.TARGET, Verb.RESPONSE, Verb.MOVE},
     Mode.RELEASING: {Verb.TENSION, Verb.HOLD, Verb.GAINS, Verb.TARGET},
@@ -242,7 +252,7 @@ def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission()
 GIVEN = {
     Verb.ARM: "near_end", Verb.TARGET: "target_n", Verb.CALIBRATE: "weight_n creep_s", Verb.IDENTIFY: "tight",
     Verb.CONFIRM_STROKE: "stroke_mm", Verb.RESPONSE: "regulated", Verb.MOVE: "move",
-    Verb.CARRY: "carry_s by", Verb.LOWER: "by",
+    Verb.CARRY: "carry_s by", Verb.LOWER: "by", Verb.RELEASE: "length_mm",
     Setting.ZERO: "zero_n zero_c zero_n_k second_zero_n",
     Setting.SCALE: "scale overdue second_scale", Setting.CREEP: "creep_1 creep_1_s creep_2 creep_2_s creep_held_s",
     Setting.OVERDUE: "overdue", Setting.HOST_CHECKS: "host_checks",

@@ -72,6 +72,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
         "name": "gains.yaml",
         "where": "hold",
         "by": "cell",
+        "supported": True,
     }
     required = {
         "target": {"value"},
@@ -79,6 +80,7 @@ def test_every_verb_is_there_with_just_what_it_takes() -> None:
         "move": {"value"},
         "carry": {"value"},
         "gains": {"gain_file", "name"},
+        "brake_test": {"supported"},
     }
     for name, said in verbs.items():
         assert said["description"]

@@ -1,0 +1,126 @@
+"""A brake that is known not to hold is tested before the rig compensates: by `arm`, or by `brake-test` in HOLD."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from hil.faults import stand
+from hil.faults.in_device import brake_slips
+from hil.faults.stand import Stand
+from hil.lockstep import Lockstep, lockstep
+from rigctl.config.settings import RigSettings
+from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
+from rigctl.control.faults import Fault
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.tension import Gains
+from tests.builders.branches import Started
+from tests.builders.loop_frames import worded_events
+
+LIMIT_S = 25.0
+TEST_S = LONG_TEST_NS * 1e-9
+SINKS_MM = 0.2
+
+
+def slips(rig: Lockstep, mm_s: float) -> None:
+    brake_slips(mm_s)(Stand(rig, "brake test"))
+
+
+def test_brake(rig: Lockstep) -> Refusal:
+    return rig.command(Verb.BRAKE_TEST, limit_s=LIMIT_S)
+
+
+test_brake.__test__ = False  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def held_once(settings: RigSettings, gains: Gains) -> Iterator[Started]:
+    with lockstep(settings, gains) as subject:
+        stand.start(subject, Mode.HOLD, 300.0)
+        stand.enter(subject, Mode.HOLD)
+        subject.run(1.0)
+        yield Started.now(subject)
+
+
+@pytest.fixture
+def held(request: pytest.FixtureRequest, held_once: Started) -> Lockstep:
+    """HOLD with 300 N on the motor."""
+    return held_once.go_on(request)
+
+
+@pytest.mark.parametrize("parked", [False, True], ids=["on the motor", "on the brake"])
+def test_a_test_that_the_brake_passes_clears_the_flag_and_ends_on_the_motor(held: Lockstep, parked: bool) -> None:
+    if parked:
+        held.run(held.settings.hold.park_s + 1.0)
+        assert held.loop.observer.braked
+    held.loop.brake.set("a test of the test")
+    held.loop.brake.slipped_n = held.rig.truth.tension_n
+    began_ns = held.clock.now()
+    assert test_brake(held) is Refusal.NONE
+    assert held.clock.now() - began_ns > LONG_TEST_NS
+    assert held.reply["tension_n"] == pytest.approx(held.rig.truth.tension_n, abs=1.0)
+    assert not held.loop.brake.fails
+    assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.HOLD, Fault.NONE)
+    assert held.run(0.1)["held_by"][-1] == HeldBy.MOTOR
+
+
+@pytest.mark.gate("0.02", "0.5")
+@pytest.mark.parametrize("slip_mm_s", [0.01, 0.02, 0.1, 0.5, 1.5])
+def test_a_test_that_the_brake_fails_gives_the_load_back_to_the_motor(held: Lockstep, slip_mm_s: float) -> None:
+    slips(held, slip_mm_s)
+    before_mm = held.rig.truth.stroke_mm
+    assert test_brake(held) is Refusal.BRAKE_SLIPPED
+    assert abs(held.reply["moved_mm"]) == pytest.approx(BRAKE_TEST_MM, abs=0.02)
+    held.run(2.0)
+    assert held.loop.machine.fault is Fault.BRAKE_SLIPS
+    assert held.loop.brake.fails
+    assert held.loop.observer.snapshot.held_by is HeldBy.MOTOR
+    assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM + 0.15 * slip_mm_s, "a drive takes 0.15 s to have it"
+
+
+def test_too_little_load_shows_nothing_and_the_refusal_has_what_it_needs(held: Lockstep) -> None:
+    assert test_brake(held) is Refusal.NONE, "any load is enough for a brake that nothing is known of"
+    held.loop.brake.set("a test of the test")
+    held.loop.brake.slipped_n = 1000.0
+    assert test_brake(held) is Refusal.LITTLE_LOAD
+    assert held.reply["needed_n"] == pytest.approx(800.0)
+    assert held.loop.machine.mode is Mode.HOLD
+    assert held.run(0.1)["held_by"][-1] == HeldBy.MOTOR, "a refusal touches nothing"
+
+
+def test_hold_ends_a_test_on_the_brake(held: Lockstep) -> None:
+    given = held.give(Verb.BRAKE_TEST)
+    held.run(3.0)
+    held.give(Verb.HOLD)
+    assert held.answer(given) is Refusal.ABORTED
+    held.run(1.0)
+    assert (held.loop.machine.mode, held.loop.observer.braked) == (Mode.HOLD, True)
+
+
+@pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.COMPENSATING])
+def test_it_is_for_hold_alone(rig: Lockstep, enter: Callable[[Mode], None], mode: Mode) -> None:
+    enter(mode)
+    assert test_brake(rig) is Refusal.WRONG_MODE
+    assert rig.loop.machine.mode is mode
+
+
+def test_a_tension_on_a_brake_that_fails_ends_in_hold_for_the_test_and_never_compensates(held: Lockstep) -> None:
+    """From a slack rope, with which ARM is allowed and tests nothing."""
+    assert held.command(Verb.RELEASE) is Refusal.NONE
+    held.run_until(Mode.HOLD, LIMIT_S)
+    held.loop.brake.set("a test of the test")
+    assert test_brake(held) is Refusal.SLACK
+    assert held.command(Verb.TENSION) is Refusal.NONE
+    modes = [held.loop.machine.mode]
+    while held.loop.machine.mode is Mode.TENSIONING:
+        modes.append(held.run(0.01)["mode"][-1])
+    assert Mode.COMPENSATING not in modes
+    assert held.loop.machine.mode is Mode.HOLD
+    assert held.rig.truth.tension_n == pytest.approx(300.0, abs=3.0)
+    assert held.run(0.3)["held_by"][-1] == HeldBy.MOTOR
+    assert any("rigctl brake-test comes first" in event.text for _, event in worded_events(held))
+    assert test_brake(held) is Refusal.NONE
+    assert not held.loop.brake.fails
+    assert held.command(Verb.TENSION) is Refusal.NONE
+    held.run_until(Mode.COMPENSATING, LIMIT_S)
