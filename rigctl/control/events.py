@@ -44,7 +44,8 @@ class Kind(IntEnum):
     RECEIVE_FAILED = 17  # text: why
     STROKE_LEFT = 40  # a: mode, value: stroke from where it was latched in mm, limit: excursion that is reported
     DRIVE_CREEPS = 41  # value: speed in mm/s at which the drive creeps when commanded 0, limit: creep that is reported
-    ESCALATION = 42  # a: fault, b: symptom, see rigctl.control.escalation, value, limit: its reaction did not help
+    ESCALATION = 42  # a: fault, b: symptom, see rigctl.control.escalation, value, limit: its reaction did not help;
+    # text: where the brake is known not to hold
     CAUSE = 45  # as TRIP: a further cause while a fault is latched
     CAUSE_OVER = 46  # as TRIP: such a cause, or the one that tripped, is gone
     FOREIGN_SDO = 50  # a: node, b: index << 8 | sub-index (0: not known), text: what another master does there
@@ -345,8 +346,7 @@ def _held(_a: int, b: int, value: float, _limit: float, text: str) -> Worded:
 def _power_off(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     shown = PowerOff(a) if a in PowerOff._value2member_map_ else PowerOff.UNCONFIRMED
     severity = "info" if shown.confirmed else "error"
-    secure = "support the payload from below" if b else "press the emergency stop, and secure the load"
-    hint = "" if shown.confirmed else f": {secure}"
+    hint = "" if shown.confirmed else f": {_SECURE[bool(b)]}"
     return Worded(severity, f"{shown.words}, {value:.1f} s after the command{hint}")
 
 
@@ -425,12 +425,16 @@ _SYMPTOM_TEXT: dict[Symptom, str] = {
     Symptom.OFF_DRIFTS: "the stroke has moved {0:.2f} mm with the power off (limit {1:.2f} mm): the brake does not "
     "hold; secure the load, rigctl carry has the motor hold it, rigctl lower lowers it",
     Symptom.SILENCE_MOVES: "the tension has changed by {0:.1f} N (limit {1:.1f} N) with the drive left to its own "
-    "supervision: it is still powered, its brake slips or the payload moves; press the emergency stop, secure the load",
+    "supervision: it is still powered, its brake slips or the payload moves; {secure}",
 }
+_SECURE = "press the emergency stop, secure the load", "support the payload from below"
+"""What to do about a drive that may have power: the second where only the motor can hold the load."""
 
 
-def _escalation(a: int, b: int, value: float, limit: float, _text: str) -> Worded:
-    return Worded("error", f"{Fault(a).name}, reaction did not help: {_SYMPTOM_TEXT[Symptom(b)].format(value, limit)}")
+def _escalation(a: int, b: int, value: float, limit: float, text: str) -> Worded:
+    """``text``: not empty where the brake is known not to hold."""
+    words = _SYMPTOM_TEXT[Symptom(b)].format(value, limit, secure=_SECURE[bool(text)])
+    return Worded("error", f"{Fault(a).name}, reaction did not help: {words}")
 
 
 def _slack_zero(a: int, b: int, value: float, limit: float, _text: str) -> Worded:

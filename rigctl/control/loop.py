@@ -553,7 +553,8 @@ class Loop:
         action = Action.HOLD if over else machine.action
         found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
         if found is not None:
-            self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit)
+            text = b"brake fails" if self.brake.fails else b""
+            self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit, text)
             if found.trip is not None:
                 machine.trip(found.trip, t_ns, slack=slack)
 

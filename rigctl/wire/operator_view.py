@@ -83,6 +83,10 @@ _SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
 _RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
 
 
+_IF_IT_MOVES = "press the emergency stop", "support the payload from below, the brake does not hold it"
+"""The second where only the motor can hold the load."""
+
+
 def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = "") -> OperatorView:
     """The view of a state message; of one without a record only that nothing is known.
 
@@ -90,8 +94,9 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
     ``lock_out``: ``safety.lock_out`` of the rig file.
     """
     if state.get("mode") is None or not state.get("loop_alive"):
+        moves = _IF_IT_MOVES[BRAKE_FAILS in state.get("flag_names", [])]
         steps = (
-            Instruction(_HALL), Instruction("If the load moves: press the emergency stop."),
+            Instruction(_HALL), Instruction(f"If the load moves: {moves}."),
             Instruction("At the rig's computer: rigctl doctor, then start the daemon anew."),
         )  # fmt: skip
         return OperatorView((), "not known: the loop writes no records", "", steps, KEEP_OUT,

@@ -136,7 +136,7 @@ function look() {
   if (!session.reads) return panel.steps([{ text: "Open a link of rigctl page (rigctl page --link prints one).", verb: "" }]);
   panel.steps([
     { text: "Keep out of the hall.", verb: "" },
-    { text: "If the load moves: press the emergency stop.", verb: "" },
+    { text: state?.flag_names?.includes("brake_fails") ? "If the load moves: support the payload from below, the brake does not hold it." : "If the load moves: press the emergency stop.", verb: "" },
     { text: silent ? "At the rig's computer: rigctl status; start the page anew." : "At the rig's computer: rigctl doctor; start the daemon anew.", verb: "" },
   ]);
   panel.fit();
