@@ -11,7 +11,7 @@ from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode, Verb
+from rigctl.control.modes import Mode, Verb, Witness
 
 _LATER_S = 3.0
 """After the parking and its first second."""
@@ -59,6 +59,16 @@ BRAKE: tuple[InjectedFault, ...] = (
            "the encoder has stuck, then the brake that holds gives way by 0.3 mm/s; RESET and ARM",
            both(_ENCODER_STUCK, brake_slips(0.3)), 9.0, *_RESET_ARM, band_n=20.0,
            why="both are refused while the tension falls"),
+    InjectedFault(
+        "encoder_dead_motor_runs_away",
+        "the encoder has stuck, the brake that holds gives way by 0.3 mm/s, the motor carries by the cell, and the "
+        "encoder is dead in the drive's own speed loop too: the motor runs away by 3 mm/s",
+        in_turn((_LATER_S, both(_ENCODER_STUCK, brake_slips(0.3))),
+                (_LATER_S + 5.0, gives(Verb.CARRY, 60.0, float(Witness.CELL))),
+                (_LATER_S + 8.0, in_device.runs_away(-3.0))),
+        _MOVES, seconds=_LATER_S + 9.5, band_n=30.0, latency_ms=math.inf, around=Around(change=(AT_ONCE,)),
+        ends_elsewhere=True, why="the tension, which does not follow the commanded stroke, stops it by quick stop",
+    ),
     _later("brake_sticks_take_back", "the brake does not open any more; TENSION", in_device.brake_stays_closed(), 3.0,
            (0.1, Verb.TENSION), expected={Mode.HOLD: Reaction.DRIVE_OFF}, band_n=9.0,
            why="the drive pulls at a load that does not move, and is taken off power"),
