@@ -229,9 +229,8 @@ class HeldTension:
             speed_mm_s = fell_n / (self._stiffness * (MARKS * MARK_S))
             self._goes_on = SINKS_MM_S < speed_mm_s < UNLOADED_MM_S
             if self._goes_on:  # near the limit a fall that has lasted would come and go
-                self._went_on_s += MARK_S
-                lingers = self._went_on_s >= SINKS_NS * 1e-9 and speed_mm_s < LINGERS * SINKS_MM_S
-                self._lingers_s = LASTS_S if lingers else 0.0
+                self._went_on_s = self._went_on_s + MARK_S if speed_mm_s < LINGERS * SINKS_MM_S else 0.0
+                self._lingers_s = LASTS_S if self._went_on_s >= SINKS_NS * 1e-9 else 0.0
             elif self._lingers_s <= 0.0:
                 self._went_on_s = 0.0
             else:

@@ -266,7 +266,7 @@ def _episode(settings: RigSettings, gains: Gains, found: Found, chance: random.R
 
 ONWARD = {
     Mode.DISARMED: (Verb.ARM, Verb.ARM, Verb.CONFIRM_STROKE),
-    Mode.HOLD: (Verb.TENSION, Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY),
+    Mode.HOLD: (Verb.TENSION, Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.BRAKE_TEST),
     Mode.TENSIONING: (Verb.TARGET,),
     Mode.COMPENSATING: (Verb.TARGET, Verb.TARGET, Verb.RELEASE, Verb.MOVE),
     Mode.RELEASING: (Verb.TENSION, Verb.TARGET),
@@ -282,7 +282,8 @@ def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[
     low, high = settings.tension.target_min_n - 20, settings.tension.target_max_n + 20
     if kind < 0.7:
         verb = chance.choice(ONWARD[loop.machine.mode])
-        return verb, loop.inbox.stroke_mm if verb is Verb.CONFIRM_STROKE else chance.uniform(low, high)
+        values = {Verb.CONFIRM_STROKE: loop.inbox.stroke_mm, Verb.RELEASE: chance.choice((0.0, 0.0, 5.0))}
+        return verb, values.get(verb, chance.uniform(low, high))
     if kind < 0.8:
         return chance.randrange(256), chance.choice((math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0))
     if kind < 0.9:

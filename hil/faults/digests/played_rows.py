@@ -148,6 +148,14 @@ COURSES: tuple[PlayedCourse, ...] = (
         300.0, (AT_ONCE,), ((6.0, in_device.brake_slips(0.3)),),
     ),
     PlayedCourse(
+        "brake_test", 30.0,
+        (
+            _ARM, (Mode.HOLD, 1.0, Verb.BRAKE_TEST, _NO), (Mode.HOLD, 14.0, Verb.RELEASE, _NO),
+            (Mode.HOLD, 2.0, Verb.RELEASE, (0.5,)),
+        ),
+        300.0,
+    ),
+    PlayedCourse(
         "cell_settings", 18.0,
         (
             (Mode.DISARMED, _BEGIN_S, Verb.TARE, _NO), (Mode.DISARMED, 2.0, Setting.ZERO, (0.01,)), _ARM,
