@@ -60,7 +60,7 @@ BRAKE: tuple[InjectedFault, ...] = (
            both(_ENCODER_STUCK, brake_slips(0.3)), 9.0, *_RESET_ARM, band_n=20.0,
            why="both are refused while the tension falls"),
     InjectedFault(
-        "encoder_dead_motor_runs_away",
+        "encoder_dead_later_runs_away",
         "the encoder has stuck, the brake that holds gives way by 0.3 mm/s, the motor carries by the cell, and the "
         "encoder is dead in the drive's own speed loop too: the motor runs away by 3 mm/s",
         in_turn((_LATER_S, both(_ENCODER_STUCK, brake_slips(0.3))),
