@@ -35,6 +35,7 @@ class BrakeFlag:
 
     def __init__(self, settings: RigSettings, rope: RopeMemory) -> None:
         self._rope = rope
+        self._brake = settings.cylinder.brake_waiver is None
         self._most_n = settings.tension.target_max_n
         self._fall_n = FALLS * fall_limit_n(settings)
         self.fails = self.changed = False
@@ -97,6 +98,11 @@ class BrakeFlag:
         if self.fails and tension_n >= self.wanted_n:
             self.fails, self.changed, self._moved_mm = False, True, 0.0
             self.why = f"a brake test with {tension_n:.0f} N has passed"
+
+    @property
+    def wants_test(self) -> bool:
+        """It is known not to hold, and there is a brake that a test could show to hold again."""
+        return self.fails and self._brake
 
     @property
     def wanted_n(self) -> float:

@@ -291,6 +291,7 @@ _PLAIN_TEXT = {
     Refusal.NO_LEARNING: "the rig file has no section learning, so nothing would be learnt from the move",
     Refusal.FAULT_LATCHED: "a limit has the tension ramped down; only hold stops that",
     Refusal.TIGHT: "the rope is tight: release without a length ramps the tension down",
+    Refusal.NO_BRAKE: "the rig has no brake to test (cylinder.brake_waiver): the motor holds the load",
     Refusal.LITTLE_LOAD: "a brake test needs at least {:.0f} N on the rope to show that the brake holds: rigctl "
     "target, then rigctl tension, which ends in HOLD",
     Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; it was ended",

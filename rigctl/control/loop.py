@@ -235,7 +235,7 @@ class Loop:
         self._park(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
             if self._signs.passed:
-                machine.on(Event.UNTESTED if self.brake.fails else Event.TENSIONED)
+                machine.on(Event.UNTESTED if self.brake.wants_test else Event.TENSIONED)
             elif not self._signs.probe_mm_s:
                 self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
         elif machine.mode is Mode.RELEASING and self._lowered(estimate):
@@ -275,7 +275,10 @@ class Loop:
 
     def _speed(self, estimate: Estimate) -> float:
         law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
-        free, ticks = mode is Mode.COMPENSATING and trial is None and not law.ramping, 1 + self.observer.just_skipped
+        free, ticks = (
+            mode is Mode.COMPENSATING and trial is None and law.setpoint_n == law.target_n,
+            1 + self.observer.just_skipped,
+        )
         law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
         if trial is not None and trial.moves:
             law.added_mm_s = trial.wanted_mm_s

@@ -262,6 +262,7 @@ class Refusal(IntEnum):
     DRIVE_STATE = 102  # the drive has not left its fault state; value: its state, see DriveState
     OFF_UNSEEN = 103  # the drive was commanded off, and has not been seen to be; value: its state
     TIGHT = 104  # a length is paid out on a slack rope only
+    NO_BRAKE = 106  # the rig file has none to test
     LITTLE_LOAD = 105  # too little for a brake test to show anything; value: load that it needs in N
     DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
@@ -279,6 +280,7 @@ class Situation:
     e_stop: bool = False  # pressed
     brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
     disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
+    no_brake: bool = False  # the rig file has none, see cylinder.brake_waiver
     little_load: bool = False  # for a test of a brake that is known not to hold
     at_rest: bool = False  # the stroke has stood still
     length_mm: float = 0.0  # of a RELEASE: how far a slack rope is paid out; 0: a ramp to slack
@@ -332,7 +334,9 @@ def length_payable(situation: Situation) -> Refusal:
 
 
 def brake_testable(situation: Situation) -> Refusal:
-    """The rope is tight, the stroke at rest, and there is load enough for the test to show something."""
+    """There is a brake, the rope is tight, the stroke at rest, and the load enough for the test to show something."""
+    if situation.no_brake:
+        return Refusal.NO_BRAKE
     if situation.slack:
         return Refusal.SLACK
     if not situation.at_rest:

@@ -397,6 +397,7 @@ class Orders:
             carried=machine.carry_until_ns > 0,
             e_stop=snapshot.e_stop != 0,
             brake_fails=self._brake.fails,
+            no_brake=settings.cylinder.brake_waiver is not None,
             little_load=self._brake.fails and snapshot.tension_n < self._brake.wanted_n,
             at_rest=snapshot.still_ns >= arming.STILL_NS,
             length_mm=length if (length := values.get("length_mm", 0.0)) == length else 0.0,

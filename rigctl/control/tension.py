@@ -119,11 +119,6 @@ class TensionLaw:
         """The gains in force."""
         return self._gains
 
-    @property
-    def ramping(self) -> bool:
-        """The set-point is on its way to the target."""
-        return self.setpoint_n != self.target_n
-
     def change_gains(self, gains: Gains, stiffness_n_mm: float | None = None) -> None:
         """Use other gains from the next tick on, and another stiffness, if it is given, without a step in the command.
 
@@ -181,7 +176,7 @@ class TensionLaw:
     def tensioned(self, estimate: Estimate) -> bool:
         """The ramp has ended and the tension is on the target."""
         error = estimate.tension_n - self.rope_setpoint_n
-        return not self.ramping and abs(error) < SETTLED_FRACTION * self.target_n
+        return self.setpoint_n == self.target_n and abs(error) < SETTLED_FRACTION * self.target_n
 
     def slack(self, estimate: Estimate) -> bool:
         """The rope is slack, with rope to spare."""

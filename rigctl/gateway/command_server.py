@@ -21,6 +21,7 @@ import msgspec
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
+from rigctl.control.arming import AWAIT_NS, LONG_TEST_NS
 from rigctl.control.frequency_trial import LONGEST_S
 from rigctl.control.modes import FILED, NEEDS_MOTOR, Setting, SettingOrder, Verb, command_slot
 from rigctl.control.trials import STEP_WAIT_S
@@ -47,6 +48,7 @@ WAIT_NS = {
     Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
     Verb.TARE: ANSWER_NS + 2_000_000_000,
     Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
+    Verb.BRAKE_TEST: ANSWER_NS + AWAIT_NS + LONG_TEST_NS,
     Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
     Verb.RESPONSE: ANSWER_NS + round(LONGEST_S * 1e9),
 }

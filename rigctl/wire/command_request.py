@@ -209,6 +209,8 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     for number in (found.value, found.creep_s):
         if number is not None and not math.isfinite(number):
             raise RequestError(f"found value {number}, expected a finite number")
+    if verb is Verb.RELEASE and found.value is not None and found.value <= 0.0:
+        raise RequestError(f"found value {found.value:g}, expected a length of rope above 0 mm")
     value = math.nan if found.value is None else found.value
     try:
         lease = lease_of(found.lease)

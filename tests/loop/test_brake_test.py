@@ -10,6 +10,7 @@ from hil.faults import stand
 from hil.faults.in_device import brake_slips
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
+from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
 from rigctl.control.faults import Fault
@@ -103,6 +104,20 @@ def test_it_is_for_hold_alone(rig: Lockstep, enter: Callable[[Mode], None], mode
     enter(mode)
     assert test_brake(rig) is Refusal.WRONG_MODE
     assert rig.loop.machine.mode is mode
+
+
+def test_a_rig_without_a_brake_keeps_its_load_on_the_motor(settings: RigSettings, gains: Gains) -> None:
+    """There is nothing to test: with the drive off nothing would hold the load."""
+    waived = changed(settings, {"cylinder.brake_waiver": "a study: self-locking screw", "cylinder.brake_test": False})
+    with lockstep(waived, gains) as rig:
+        stand.start(rig, Mode.HOLD, 300.0)
+        stand.enter(rig, Mode.HOLD)
+        rig.run(1.0)
+        assert test_brake(rig) is Refusal.NO_BRAKE
+        assert rig.run(0.5)["held_by"][-1] == HeldBy.MOTOR
+        rig.loop.brake.set("a test of the test")
+        assert rig.command(Verb.TENSION) is Refusal.NONE, "no test could clear it"
+        rig.run_until(Mode.COMPENSATING, LIMIT_S)
 
 
 def test_a_tension_on_a_brake_that_fails_ends_in_hold_for_the_test_and_never_compensates(held: Lockstep) -> None:

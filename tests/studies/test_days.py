@@ -90,7 +90,7 @@ class Day:
     def _await_target(self) -> None:
         law, rate = self.rig.loop.law, self.rig.settings.loop.rate_hz
         for _ in range(round(LIMIT_S * rate)):
-            if not law.ramping or self.rig.loop.machine.mode is not Mode.COMPENSATING:
+            if law.setpoint_n == law.target_n or self.rig.loop.machine.mode is not Mode.COMPENSATING:
                 break
             self.rig.tick()
         self.rig.run(0.3)

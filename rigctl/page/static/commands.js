@@ -70,11 +70,12 @@ export class Commands {
     this.say(`${verb.toUpperCase()} ...`, true);
     const asked = performance.now();
     const body = { verb, reason };
-    const left = OPTIONAL.includes(verb) && !byId(VALUES[verb]).value;
+    const left = OPTIONAL.includes(verb) && (this.mode !== "HOLD" || !byId(VALUES[verb]).value);
     if (verb in VALUES && !left) {
       body.value = byId(VALUES[verb]).valueAsNumber;
       if (!Number.isFinite(body.value)) return this.say(`${verb.toUpperCase()}: found no number of ${VALUES[verb]}`, false);
     }
+    byId("millimetres").value = ""; // a length is for one release alone
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;
     if (ok && answer.confirm) this.ask(answer);

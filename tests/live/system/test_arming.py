@@ -88,3 +88,33 @@ def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_say
         rig.do("tare")  # tare removes one finding and leaves the others
         said = until(lambda: (text := rig.refused("arm")) and "tare" not in text and text, log=rig.log)
         assert "no calibration" in said
+
+
+def test_a_brake_is_tested_in_hold_and_a_slack_rope_is_paid_out(tmp_path: pathlib.Path) -> None:
+    """Each command as it is typed, with its line and its exit code."""
+    with running(tmp_path, {}) as rig:
+        unsupported = daemons.rigctl("brake-test", file=rig.file)
+        assert (unsupported.returncode, unsupported.stdout) == (2, "")
+        assert "support the payload from below first" in unsupported.stderr
+        rig.do("arm")
+        assert "the rope is slack" in rig.refused("brake-test", "--supported")
+        rig.do("target", "100")
+        rig.do("tension", "--wait")
+        assert "a length is paid out in HOLD" in rig.refused("release", "20")
+        assert daemons.mode(rig.file) == "COMPENSATING"
+        rig.do("hold")
+        assert "the rope is tight: release without a length" in rig.refused("release", "20")
+        held: list[str] = []
+
+        def tested() -> bool:  # UNSTEADY until the stroke has stood still
+            answer = daemons.rigctl("brake-test", "--supported", file=rig.file)
+            held.append(answer.stdout + answer.stderr)
+            return answer.returncode == 0
+
+        until(tested, log=rig.log)
+        assert "the brake has held 100 N for 10 s, the motor has it, HOLD" in held[-1]
+        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
+        rig.do("release", "--wait")
+        assert "rope is slack already" in rig.refused("release")
+        assert "expected a length of rope above 0 mm" in rig.refused("release", "0")
+        assert "leave the cylinder inside its stroke" in rig.refused("release", "999")

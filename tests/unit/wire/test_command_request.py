@@ -138,6 +138,22 @@ def test_arm_at_an_end_is_an_option_of_arm_alone_and_reaches_the_loop() -> None:
         parse(Verb.HOLD, payload)
 
 
+def test_a_brake_test_says_that_the_payload_is_supported() -> None:
+    with pytest.raises(RequestError, match="found no supported: true"):
+        parse(Verb.BRAKE_TEST, msgspec.json.encode({"operator": "kim"}))
+    assert parse(Verb.BRAKE_TEST, msgspec.json.encode({"operator": "kim", "supported": True})).supported
+
+
+def test_a_release_has_no_length_or_one_above_0_and_its_answer_says_which() -> None:
+    assert math.isnan(parse(Verb.RELEASE, msgspec.json.encode({"operator": "kim"})).number)
+    for value in (0.0, -5.0):
+        with pytest.raises(RequestError, match="expected a length of rope above 0 mm"):
+            parse(Verb.RELEASE, msgspec.json.encode({"operator": "kim", "value": value}))
+    reply = reply_of(accepted=1, reason=0, checks=0, mode=int(Mode.RELEASING))
+    for value, text in ((20.0, "paying out 20.0 mm of rope"), (math.nan, "ramping to slack")):
+        assert text in answer(Request(Verb.RELEASE, "kim", value), reply, NewestRecord(), LIMITS)["text"]
+
+
 def test_what_is_known_of_a_check_is_said_instead_of_its_general_phrase() -> None:
     checks = Check.CELL_STALE | Check.DISK
     reply = reply_of(accepted=0, reason=2, checks=int(checks), mode=0)
