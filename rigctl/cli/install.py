@@ -71,6 +71,9 @@ def uninstall(
     rig: Annotated[str, typer.Argument(metavar="RIG", help="Name of the rig.")],
     dry_run: Dry = False,
     root: Root = _ROOT,
+    leave_load: Annotated[
+        bool, typer.Option("--leave-load", help="Also while the motor carries a load, which the end lowers or leaves.")
+    ] = False,
 ) -> None:
     """Stop a rig's services and remove what install wrote; its settings and data stay."""
     from rigctl.cli import install_files as files
@@ -79,6 +82,11 @@ def uninstall(
     target = Target(root, say, dry_run=dry_run)
     if rig not in target.rigs():
         end(USAGE, f"{rig}: found no rig of this name among the installed: {', '.join(target.rigs()) or 'none'}")
+    if target.is_live and not leave_load:
+        from rigctl.cli.carried_service import refusal
+
+        if why := refusal(rig):
+            end(BAD, why)
     _check_rights(target)
     if target.is_live:
         try:

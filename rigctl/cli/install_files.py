@@ -6,6 +6,7 @@ beside them: processors, networks that may be reached, folders, the CAN interfac
 
 from __future__ import annotations
 
+import math
 import os
 import pathlib
 import re
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from rigctl.config import layout
 from rigctl.config.address import Address, is_local
 from rigctl.config.settings import RigSettings
+from rigctl.control import ending
 from rigctl.ipc.writers import WRITERS
 
 PYTHON_OF_PACKAGE = "/usr/lib/rigctl/bin/python3"
@@ -27,6 +29,8 @@ OTHERS = {"init.scope": "Scope", "system.slice": "Slice", "user.slice": "Slice",
 """Units that hold everything but the rig daemons, and the section of each that limits its processors."""
 TXQUEUELEN = 10  # docs/can.md: five ticks of SYNC and command; a frame that waits longer is a stale command
 CARRIER_S = 30
+STOP_SPARE_S = 30
+"""For what ends after the loop: ``TimeoutStopSec`` is the loop's limit (`rigctl.control.ending`) and this."""
 _PLAIN = re.compile(r"[A-Za-z0-9_./:@\[\]-]+")
 _INTERFACE = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 _MARK = "# Written by `rigctl install`, which writes it anew; put changes into a drop-in of your own.\n"
@@ -208,6 +212,10 @@ def _daemon(settings: RigSettings, computer: Host) -> bytes:
         service.append(f"ExecStartPre=-{wait} --interface={channel}:carrier --timeout={CARRIER_S}")
     if before:
         unit += [f"Wants={' '.join(before)}", f"After={' '.join(before)}"]
+    if (limit_s := ending.limit_s(settings)) > ending.LIMIT_S:
+        stop_s = math.ceil(limit_s) + STOP_SPARE_S
+        service += ["# The longest lowering of a load takes longer than the unit has time for.",
+                    f"TimeoutStopSec={stop_s}", f"TimeoutAbortSec={stop_s}"]  # fmt: skip
     service += _affinity(settings, computer)
     sections = [f"[{name}]\n" + "\n".join(lines) + "\n" for name, lines in (("Unit", unit), ("Service", service))
                 if lines]  # fmt: skip

@@ -32,6 +32,14 @@ _BY_ENCODER = 1 << Fault.DRIVE_NOT_FOLLOWING
 WITNESS_TEXT = "the tension does not follow the commanded stroke"
 
 
+def longest_lowering_s(settings: RigSettings) -> float:
+    """Time in s to lower the largest load that a motor may carry: by the encoder alone, or by the tension's ramp."""
+    load_n, tension = settings.safety.tension_high_n, settings.tension
+    by_encoder_s = (load_n / settings.plant.slow_stiffness_n_mm + SPARE_MM) / LOWERS_MM_S
+    by_tension_s = load_n / tension.ramp_n_s + SPARE_MM / min(tension.speed_max_mm_s, LOWERS_MM_S)
+    return max(by_encoder_s, by_tension_s)
+
+
 class CarriedLoad:
     """``named``: the witness that the operator has named; ``by``: that of now.
 

@@ -40,6 +40,8 @@ WARM_UP_TICKS = 50
 # Other interfaces filter in python-can, where a refused frame ends a drain and old samples would pile up behind it.
 FILTERS_IN_FULL = ("socketcan", "rigsim")
 EXIT_CANNOT_START = 1
+SUPERVISOR_ENDED = signal.SIGINT
+"""Sent by the kernel while the loop runs: a request to end, but never the second one, which leaves the load."""
 
 
 def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilters:
@@ -109,7 +111,9 @@ def _answer(bus: can.BusABC, settings: RigSettings, process_data: ProcessData) -
 
 
 def _stop_on_signal(loop: Loop) -> Callable[[int, FrameType | None], None]:
-    def on_signal(_number: int, _frame: FrameType | None) -> None:
+    def on_signal(number: int, _frame: FrameType | None) -> None:
+        if loop.stop_requested and number != SUPERVISOR_ENDED:
+            loop.repeated_stops += 1
         loop.stop_requested = True
 
     return on_signal
@@ -189,7 +193,8 @@ def run(directory: str) -> int:
         cell_history=history,
         holds=holds,
     )
-    on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP)
+    on_signals(_stop_on_signal(loop), signal.SIGTERM, signal.SIGHUP, SUPERVISOR_ENDED)
+    realtime.die_with_parent(SUPERVISOR_ENDED)
     frozen = realtime.freeze_garbage_collector()  # before real time: its 100 ms must not delay another loop
     applied = [*realtime.apply(settings.loop), frozen]
     runtime.write_json(

@@ -9,6 +9,7 @@ from rigctl.control import load_at_rest
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
 from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import ENDS, FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
+from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
@@ -140,7 +141,7 @@ first:
 
 - `carry` SECONDS (operator, with the lease): the motor takes the load and holds it for {CARRY_S[0]:g} to
   {CARRY_S[1]:g} s; the fault stays latched and shown. `reset` is refused meanwhile; `carry` again prolongs it. When its
-  time is over the motor lowers the load. `disarm` and the end of the daemon give it back to the brake.
+  time is over the motor lowers the load. `disarm` gives it back to the brake.
 - `lower`, or `release` while the motor carries the load: the motor lowers it until the rope is slack. A `hold` stops
   it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
 
@@ -155,6 +156,12 @@ by quick stop:
 and a tension that is for {FOLLOWS_NS * 1e-9:g} s more than {FOLLOWS_MM:g} mm from the commanded stroke where it alone
 is followed. Everything else is reported. Without the flag, and in FAULT, `carry` needs both witnesses, and any other
 cause gives the load back to the brake.
+
+An end in order does not give the load back either. The record's flag `carries` is set while the motor carries or lowers
+a load, or has a tight rope with a brake known not to hold. The loop then goes on for {WAITS_NS * 1e-9:g} s after the
+request, has the motor lower the load as by `lower` (outside FAULT BRAKE_SLIPS is latched first), and ends once the rope
+is slack. It ends earlier when the motor has the load no more, or by a second request, which leaves the load, and after
+{LIMIT_S:g} s in any case ([operate.md](operate.md#an-end-while-the-motor-carries)).
 """
 _HELD = f"""
 ## The stroke that is held

@@ -11,6 +11,7 @@ from types import MappingProxyType
 from rigctl.config.quantity import Number, count, significant
 from rigctl.config.signals import WATCHED
 from rigctl.control.checks import Check
+from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
@@ -53,6 +54,8 @@ class Kind(IntEnum):
     READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
     STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
     BRAKE_FLAG = 56  # a: 1 the brake is known not to hold, 0 it holds; value: tension in N, text: why
+    ENDING = 58  # a: see rigctl.control.ending.EndStep, value: WAITS: time until the motor lowers the load, LOWERS: 0,
+    # else time since the request, both in s, limit: tension in N
     WITNESS = 57  # a: see rigctl.control.modes.Witness, text: the command; an operator has named it
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOAD_STEP = 71  # a: samples, b: cell's temperature in mK (0: not known), value: their mean reading in N,
@@ -344,6 +347,29 @@ def _held(_a: int, b: int, value: float, _limit: float, text: str) -> Worded:
     return Worded(severity, f"{text}: load {_HELD_TEXT[HeldBy(b)]}{longest}")
 
 
+_LEAVES = "the daemon ends and leaves {1:.0f} N to the brake, which may not hold it: support the payload from below"
+_END_TEXT: dict[int, tuple[str, str]] = {
+    EndStep.WAITS: (
+        "warning",
+        "the daemon is to end, but the motor has a load of {1:.0f} N that the brake may not hold: support the payload "
+        "from below; in {0:.0f} s the motor lowers the load, then the daemon ends; a second signal leaves the load",
+    ),
+    EndStep.LOWERS: (
+        "warning",
+        "the daemon ends once the motor has lowered the load of {1:.0f} N; a second signal leaves the load",
+    ),
+    EndStep.LOWERED: ("info", "the load is lowered, {1:.0f} N are left on the rope: the daemon ends"),
+    EndStep.LEFT: ("error", f"by a second signal {_LEAVES}"),
+    EndStep.GONE: ("error", f"the motor has the load no more: {_LEAVES}"),
+    EndStep.LATE: ("error", f"the load is not lowered after {{0:.0f}} s: {_LEAVES}"),
+}
+
+
+def _ending(a: int, _b: int, value: float, limit: float, _text: str) -> Worded:
+    severity, text = _END_TEXT.get(a, ("warning", "the end of the daemon goes on"))
+    return Worded(severity, text.format(value, limit))
+
+
 def _power_off(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
     shown = PowerOff(a) if a in PowerOff._value2member_map_ else PowerOff.UNCONFIRMED
     severity = "info" if shown.confirmed else "error"
@@ -567,6 +593,7 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         "info", f"{count(a, 'setting')} of the devices read back in {v:.2f} s"
     ),
     Kind.HELD: _held,
+    Kind.ENDING: _ending,
     Kind.POWER_OFF: _power_off,
     Kind.LOAD_AT_REST: _load_at_rest,
     Kind.FOUND_AT_START: _found_at_start,

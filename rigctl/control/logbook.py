@@ -30,7 +30,7 @@ NOTICES_KEPT = 64
 ZERO_C_K = 273.15
 _STALE = Quality.STALE.value
 _UNCONFIRMED = Flag.STROKE_UNCONFIRMED.value
-_OFF, _BRAKE_FAILS = Flag.DRIVE_OFF.value, Flag.BRAKE_FAILS.value
+_OFF, _BRAKE_FAILS, _CARRIES = Flag.DRIVE_OFF.value, Flag.BRAKE_FAILS.value, Flag.CARRIES.value
 _ENABLED, _ARMING, _STOPPING = Flag.DRIVE_ENABLED.value, Flag.ARMING.value, Flag.STOPPING.value
 
 
@@ -69,7 +69,7 @@ class Logbook:
     def record(  # noqa: PLR0915 - one line for each field of the record
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
         outbox: Outbox, command_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
-        move: int = 0,
+        carries: bool, end_s: float, move: int = 0,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
@@ -81,6 +81,7 @@ class Logbook:
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= (0 if stroke_known else _UNCONFIRMED) | (_BRAKE_FAILS if machine.brake_fails else 0)
         flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.shown_off else 0)
+        flags |= _CARRIES if carries else 0
         values = self._values
         values.t_ns = t_ns
         values.tick = self.tick
@@ -94,6 +95,7 @@ class Logbook:
         values.sink_mm_s = snapshot.sink_mm_s
         sinks_mm_s = -snapshot.sink_mm_s
         values.slack_s = snapshot.sink_left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
+        values.end_s = end_s
         values.fault = machine.fault
         values.flags = flags
         values.tension_n = inbox.tension_n

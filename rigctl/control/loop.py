@@ -14,6 +14,7 @@ from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.clock import Clock
+from rigctl.control.ending import Ending
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -127,10 +128,13 @@ class Loop:
         self.exceptions_untold = 0
         self.finished = False
         self.stop_requested = False
+        self.repeated_stops = 0
+        """Requests to end after the first: the next one leaves a load that delays the end."""
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
         self.brake, self._carried = BrakeFlag(settings, self._rope), CarriedLoad(settings, self._rope)
         self._watch = Watch(settings, limit_rows(settings))
+        self._ending = Ending(settings)
         self._escalator = Escalator(settings, arming.stopping_ns(settings))
         self._parking, self._first_second = Parking(settings, arming.stopping_ns(settings)), FirstSecond(settings)
         self._travel_from = 0.0, 0.0  # stroke in mm and set-point in N at the begin of COMPENSATING
@@ -214,8 +218,7 @@ class Loop:
         self._escalate(t_ns)
         self._take_orders(t_ns)
         if self.stop_requested and not machine.stopping:
-            self._stop_until = t_ns + STOP_LIMIT_NS + arming.stopping_ns(self.settings)
-            machine.stop()
+            self._end(t_ns)
         orders.prepare(t_ns)
         if machine.taking or machine.resetting:
             fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
@@ -371,7 +374,8 @@ class Loop:
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
-            arming=arming, stroke_known=self.homed.known, move=0 if self.learning is None else self.learning.number,
+            arming=arming, stroke_known=self.homed.known, carries=self._carries, end_s=self._ending.left_s,
+            move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
         if self.learning is not None:
             logbook.moves(t_ns, self.learning.news)
@@ -430,7 +434,7 @@ class Loop:
         machine, trial = self.machine, self._orders.trial
         until_ns = self._orders.powered_until_ns if trial is not None else machine.carry_until_ns
         measures = trial is not None and not trial.power_s
-        powered = machine.drive_wanted and not machine.stopping
+        powered = machine.drive_wanted and not (machine.stopping or self._ending.delayed)
         if machine.mode is Mode.FAULT and machine.carry_until_ns:
             self._carry_on(t_ns)
         elif self._parking.due(
@@ -561,6 +565,30 @@ class Loop:
             if found.trip is not None:
                 machine.trip(found.trip, t_ns, slack=slack)
 
+    def _end(self, t_ns: int) -> None:
+        """End as requested: at once, or when the motor has lowered a load that the brake does not hold."""
+        machine, ending, before = self.machine, self._ending, self._ending.step
+        ending.look(
+            t_ns, self.repeated_stops, carries=self._carries, lowers=machine.mode is Mode.RELEASING,
+            lowered=machine.fault is Fault.NONE or machine.action is Action.RAMP_DOWN,
+        )  # fmt: skip
+        if ending.step is not None and ending.step is not before:
+            seconds = ending.left_s if ending.delayed else (t_ns - ending.since_ns) * 1e-9
+            self._logbook.event(t_ns, Kind.ENDING, ending.step, value=seconds, limit=number(self.inbox.tension_n))
+        if ending.due and machine.drive_wanted:
+            self._orders.lower_to_end(t_ns)
+        elif not ending.delayed:
+            self._stop_until = t_ns + STOP_LIMIT_NS + arming.stopping_ns(self.settings)
+            machine.stop()
+
+    @property
+    def _carries(self) -> bool:
+        """The motor has a load that would sink without it, by CARRY or LOWER or on a brake known not to hold."""
+        machine = self.machine
+        if machine.carries or not (self.brake.fails and machine.drive_wanted) or machine.mode is Mode.FAULT:
+            return machine.carries
+        return machine.mode is Mode.RELEASING or not self.observer.slack
+
     def _check_signs(self, now_ns: int) -> None:
         signs, inbox = self._signs, self.inbox
         signs.see(self.law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
@@ -597,7 +625,8 @@ class Loop:
         self.law.follow_speed(0.0)
         self.observer.filter.command(0.0)
         self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0), t_ns)
-        if self.machine.stopping or self.stop_requested:
+        delayed = (self._ending.delayed or self._carries) and self._failing <= FAILING_TICKS
+        if self.machine.stopping or (self.stop_requested and not delayed):
             self.machine.stop()
             self.finished = True
         try:

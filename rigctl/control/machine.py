@@ -384,7 +384,7 @@ class Machine:
     def stop(self) -> None:
         """The process ends: hold the stroke and take no more commands."""
         if not self.stopping:
-            self.stopping = True
+            self.stopping, self.carry_until_ns = True, 0
             self.end_trial(Refusal.ABORTED)
             self._finish_pending(Refusal.STOPPING)
             self._end_disarming(Refusal.STOPPING)

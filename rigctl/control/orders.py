@@ -462,9 +462,19 @@ class Orders:
         if self._carried.named:
             self._logbook.event(t_ns, Kind.WITNESS, self._carried.named, text=verb.name.encode())
         if self._machine.mode is not Mode.FAULT:
-            trip = Trip(Fault.BRAKE_SLIPS, 0.0, 0.0, Action.HOLD, KNOWN_TEXT)
-            if self._machine.trip(trip, t_ns):
-                self._logbook.trip(t_ns, Kind.TRIP, trip)
+            self._trip_slip(t_ns)
+
+    def _trip_slip(self, t_ns: int) -> None:
+        trip = Trip(Fault.BRAKE_SLIPS, 0.0, 0.0, Action.HOLD, KNOWN_TEXT)
+        if self._machine.trip(trip, t_ns):
+            self._logbook.trip(t_ns, Kind.TRIP, trip)
+
+    def lower_to_end(self, t_ns: int) -> None:
+        """The motor lowers the load that it has, by the witness that is in force; outside FAULT as after a slip."""
+        if self._machine.mode is not Mode.FAULT:
+            self._carried.begin(Witness.BOTH, self._watch.standing, self._observer.snapshot)
+            self._trip_slip(t_ns)
+        self._machine.lower(t_ns)
 
     def acknowledged(self, fault: Fault, t_ns: int) -> None:
         """A latched fault has been reset."""

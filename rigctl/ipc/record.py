@@ -92,6 +92,7 @@ class Flag(IntFlag):
     STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
     DRIVE_OFF = 8192  # the drive has reported a state without power for as long as its brake takes to close
     BRAKE_FAILS = 16384  # the brake is known not to hold, see control.brake_flag
+    CARRIES = 32768  # the motor has a load that would sink without it; an end lowers it first, see control.ending
 
 
 RECORD = Slot("record", tuple(Field(row.name, row.code, row.unit, row.meaning) for row in RECORDED))

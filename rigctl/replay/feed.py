@@ -31,7 +31,7 @@ class Tick:
     ended_ns: int
     skipped: int  # periods missed since the tick before
     failures: int  # frames of the tick that the bus did not take
-    stopping: bool
+    end_requests: int  # so far: 1, or 2 where a second one has left a load that delayed the end
     received: list[can.Message]
     sent: list[tuple[int, bytes]]
     commands: list[tuple[Any, ...]]  # slots without their numbers
@@ -55,15 +55,16 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
     skipped = np.diff(records["skipped"].astype(np.int64), prepend=0).tolist()
     failures = np.diff(records["send_failures"].astype(np.int64), prepend=0).tolist()
     ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
-    stopping = (records["flags"] & _STOPPING != 0).tolist()
+    stopping, delayed = records["flags"] & _STOPPING != 0, np.isfinite(records["end_s"])
+    requests = ((stopping | delayed) + (stopping & np.logical_or.accumulate(delayed)).astype(np.int64)).tolist()
     ordered = _Given(as_of_today(commands), taken[0], tuple(field.name for field in COMMAND.fields))
     held = _Given(holds, taken[1], ("uid", "pid"))
     upto = zip(records["command_seq"].tolist(), records["hold_seq"].tolist(), strict=True)
-    rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, stopping, upto, strict=True)
-    for i, (t_ns, woke_ns, ended_ns, missed, failed, stops, (last, last_hold)) in enumerate(rows):
+    rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, requests, upto, strict=True)
+    for i, (t_ns, woke_ns, ended_ns, missed, failed, requested, (last, last_hold)) in enumerate(rows):
         received, sent, sent_ns = _frames(frames[begins[i] : begins[i + 1]])
         yield Tick(
-            t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, stops, received, sent,
+            t_ns, woke_ns, sent_ns or woke_ns, ended_ns, missed, failed, requested, received, sent,
             ordered.upto(last), [Hold(uid, pid, "") for uid, pid in held.upto(last_hold)],
         )  # fmt: skip
 

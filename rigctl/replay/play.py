@@ -177,7 +177,8 @@ def play(
                 for order in tick.commands:
                     orders.write(*order)
                 holds.extend(tick.holds)
-                loop.stop_requested |= tick.stopping
+                loop.stop_requested |= tick.end_requests > 0
+                loop.repeated_stops = max(0, tick.end_requests - 1)
                 clock.begin(tick)
                 bus.begin(tick)
                 loop.tick()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import math
 import os
 import secrets
 import signal
@@ -28,7 +29,7 @@ from rigctl.config import layout
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
-from rigctl.control import last_stroke
+from rigctl.control import ending, last_stroke
 from rigctl.control.homed import LastStroke
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
@@ -38,6 +39,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
+from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, REFUSED, AlreadyRunningError, FolderError, Runtime
 from rigctl.ipc.service_manager import notify, unnotified
@@ -105,7 +107,8 @@ class Supervisor:
         self._say = say
         self._event_lines = EventLines()
         self._runtime = Runtime.of(settings.rig, layout.run_base(settings.directory))
-        self._stopping = False
+        self._signals = 0
+        self._ending = False
         self._feed_at_ns = 0
         self._supervision: Supervision | None = None
         self._folder_lost = ""
@@ -404,6 +407,8 @@ class Supervisor:
         self._watch_services(now)
         self._watch_progress(now, records)
         for child in list(self._children.values()):
+            if self._ending and child.name == "control":
+                continue
             code = child.process.poll()
             if code is None:
                 if child.failures and now - child.started > STABLE_S:
@@ -487,23 +492,53 @@ class Supervisor:
 
     # -- stop -----------------------------------------------------------------------------------------------
     def _on_signal(self, _number: int, _frame: FrameType | None) -> None:
-        self._stopping = True
+        self._signals += 1
+
+    @property
+    def _stopping(self) -> bool:
+        return self._signals > 0
 
     def _stop(self, records: RingReader, events: RingReader) -> int:
         """End control first: it holds the stroke and closes the brake; gateway and recorder end after reporting it."""
         notify("STOPPING=1")
-        clean = self._end("control")
+        clean = self._end_control(records, events)
         self._log_events(events)
         last = records.latest()
         time.sleep(2.0 / self.settings.telemetry.rate_hz)
         self._end("gateway")
-        code, how = (1, _INTERRUPTED) if last is None else _ending(last, clean, time.monotonic_ns())
+        now_ns, slack_n = time.monotonic_ns(), self.settings.tension.slack_n
+        code, how = (1, _INTERRUPTED) if last is None else _ending(last, clean, now_ns, slack_n)
         if self._folder_lost:
             code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
         self._end("recorder")
         self._say(how if code == 0 else f"WARNING: {how}")
         return code
+
+    def _end_control(self, records: RingReader, events: RingReader) -> bool:
+        """End the loop; returns whether it has ended in order.
+
+        It may have the motor lower a load first (`rigctl.control.ending`). As long as its records show that, everything
+        else goes on; a further signal goes to the loop, which then leaves the load.
+        """
+        process, signals, self._ending = self._children["control"].process, self._signals, True
+        process.send_signal(signal.SIGTERM)
+        until = time.monotonic() + STOP_LIMIT_S
+        longest = until + ending.limit_s(self.settings)
+        while process.poll() is None:
+            if (newest := records.latest()) is not None and math.isfinite(newest["end_s"]):
+                until = min(longest, time.monotonic() + STOP_LIMIT_S)
+                self._feed_watchdog(records)
+                if not self._folder_lost:
+                    self._watch(records)
+            if time.monotonic() > until:
+                return False
+            if self._signals > signals:
+                signals = self._signals
+                process.send_signal(signal.SIGTERM)
+            self._log_events(events)
+            time.sleep(POLL_S)
+        return process.returncode == 0
 
     def _end(self, name: str) -> bool:
         if (service := self._services.get(name)) is not None:
@@ -524,13 +559,14 @@ class Supervisor:
             service.end(STOP_LIMIT_S)
         for child in self._children.values():
             try:
-                child.process.wait(STOP_LIMIT_S)
+                lowers = child.name == "control" and not self._ending
+                child.process.wait(STOP_LIMIT_S + (ending.limit_s(self.settings) if lowers else 0.0))
             except subprocess.TimeoutExpired:
                 child.process.kill()
                 child.process.wait()
 
 
-def _ending(last: np.void, clean: bool, now_ns: int) -> tuple[int, str]:
+def _ending(last: np.void, clean: bool, now_ns: int, slack_n: float) -> tuple[int, str]:
     """Exit code and one line on the state the rig was left in; ``last``: its newest record."""
     mode = Mode(int(last["mode"])).name
     where = f"stroke {last['stroke_mm']:z.2f} mm, tension {last['tension_n']:z.1f} N"
@@ -542,6 +578,8 @@ def _ending(last: np.void, clean: bool, now_ns: int) -> tuple[int, str]:
         )
     if last["drive_quality"] or drive_state(int(last["statusword"])) is DriveState.OPERATION_ENABLED:
         return 1, f"stopped in {mode}: last seen {where}; the brake was not seen to close"
+    if int(last["flags"]) & Flag.BRAKE_FAILS and last["tension_n"] > slack_n:
+        return 1, f"stopped in {mode}: {where}; the closed brake does not hold it: support the payload from below"
     return 0, f"stopped in {mode}: {where}, brake closed"
 
 

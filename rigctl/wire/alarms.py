@@ -119,7 +119,10 @@ _OTHERS: dict[str, tuple[Priority, Fault]] = {
     "STROKE": (Priority.LOW, Fault.STROKE_JUMPED),
     "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
     "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
+    "ENDING": (Priority.URGENT, Fault.BRAKE_SLIPS),
 }
+_LASTING = ("EMERGENCY", "STROKE", "ENDING")
+"""Of these: active until an event of severity info."""
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
@@ -178,7 +181,7 @@ def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
     if kind in _OTHERS:
         priority, fault = _OTHERS[kind]
         over = event.get("severity") == "info"
-        momentary = kind not in ("EMERGENCY", "STROKE")
+        momentary = kind not in _LASTING
         return Alarm(cause, priority, text, fault.remedy, at, at, stands=not (momentary or over), onsets_ns=(at,))
     fault, about = fault_of(event.get("a")), str(event.get("about", ""))
     for prefix in (f"trip {fault.name}: ", f"{fault.name} is active: ", "limit: "):
@@ -215,7 +218,7 @@ class Alarms:
             for cause in self._rows.keys() - {ENDPOINT_TAKEN}:
                 self._change(cause, stands=False, watched=True)
         elif cause := cause_of(event):
-            if kind in _ENDS or (kind in ("EMERGENCY", "STROKE") and event.get("severity") == "info"):
+            if kind in _ENDS or (kind in _LASTING and event.get("severity") == "info"):
                 self._change(cause, stands=False, watched=kind not in _ENDS or not _is_nan(event.get("value")))
             elif kind == "RESET":
                 for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:

@@ -81,6 +81,9 @@ KINDS: dict[Kind, str] = {
     "known in mm, null for none, text: why",
     Kind.BRAKE_FLAG: "the brake is known not to hold (a: 1), or holds again (0); value: tension in N, text: why",
     Kind.WITNESS: "the operator has named what the motor carries the load by; a: 1 encoder, 2 cell, text: command",
+    Kind.ENDING: "an end that a load delays; a: 1 the motor goes on carrying, 2 it lowers the load, 3 it has lowered "
+    "it, 4 a second signal leaves the load, 5 the motor has it no more, 6 it is not lowered in time; value: of 1 the "
+    "time until it is lowered, from 3 on that since the request, both in s, limit: tension in N",
     Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
     Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
     Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",

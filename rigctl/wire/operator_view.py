@@ -12,7 +12,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
 from rigctl.wire.possible_commands import possible
-from rigctl.wire.state_words import drive, held, mode
+from rigctl.wire.state_words import drive, ending, held, mode
 from rigctl.wire.trust import doubts, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
@@ -185,7 +185,8 @@ def _does(state: dict[str, Any], flags: list[str]) -> str:
         held=held(state),
         drive=drive(state),
     )
-    return f"{words}; then FAULT" if mode_name == "RELEASING" and state.get("fault") else words
+    words = f"{words}; then FAULT" if mode_name == "RELEASING" and state.get("fault") else words
+    return "; ".join(filter(None, (words, ending(state))))
 
 
 def _blocks(state: dict[str, Any], causes: tuple[FaultCause, ...], flags: list[str]) -> str:
@@ -207,6 +208,10 @@ def _steps(
     state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str], entry: str, lock_out: str
 ) -> tuple[Instruction, ...]:
     """What to do, in order: the first step is safe, and each is a thing in the hall or a button that is there."""
+    if ending(state):
+        lower = (Instruction("LOWER has the motor lower the load now.", "lower"),) if not verbs["lower"] else ()
+        support = Instruction("Support the payload from below, or wait until the motor has lowered it.")
+        return Instruction(_HALL), support, *lower
     if state.get("fault"):
         return _after_fault(state, causes, verbs, entry, lock_out)
     mode_name = str(state["mode"])

@@ -56,6 +56,15 @@ def held(state: dict[str, Any]) -> str:
     return "; ".join(filter(None, (holds, power_off(state)))) + slips
 
 
+def ending(state: dict[str, Any]) -> str:
+    """That the daemon is to end, and how long until the motor lowers the load; empty where no load delays an end."""
+    left_s = state.get("end_s")
+    if not isinstance(left_s, int | float):
+        return ""
+    when = f"in {left_s:.0f} s the motor lowers the load first" if left_s else "the motor lowers the load first"
+    return f"THE DAEMON IS TO END: {when}; a second signal leaves the load"
+
+
 def at_rest(state: dict[str, Any]) -> str:
     """Whether the load is at rest, and what shows it."""
     shown = LoadAtRest.__members__.get(str(state.get("load_at_rest")), LoadAtRest.UNKNOWN)

@@ -133,7 +133,7 @@ def state(
         **{f"{name}_age_ns": 8_500_000_000 if name in lost else 1_000_000 for name in quality},
         "drive_current_a": 0.72 if on else 0.0, "drive_temperature_c": 25.0, "frames_lost": 0, "frames_refused": 0,
         "send_failures": 0, "error_frames": 0, "lateness_us": None, "work_us": None, "design": "Ms 1.2",
-        "sink_mm_s": None, "slack_s": None,
+        "sink_mm_s": None, "slack_s": None, "end_s": None,
         "calibration": {"zero_n": 0.1, "scale": 1.0, "overdue": True, "waiver": "simulated cell: no weight to hang"},
         "lease": {"holder": "kim", "held_s": 31.0, "left_s": 260.0}, "audit": {"entries": 9, "failures": 0},
         "recording": None, "trip_dump": None, "warnings": ["SCHED_FIFO 80 refused: not permitted"],
@@ -181,6 +181,10 @@ def catalogue() -> Iterator[Shown]:
         yield Shown(name, state(Mode.FAULT, fault=unpowered, **more), tripped(unpowered))
     yield Shown("STROKE_MOVES, sinking", state(Mode.FAULT, fault=Fault.STROKE_MOVES, sink_mm_s=-0.3, slack_s=160.0),
                 tripped(Fault.STROKE_MOVES))  # fmt: skip
+    carries: dict[str, Any] = {"held_by": HeldBy.MOTOR, "flag_names": ["drive_enabled", "brake_fails", "carries"]}
+    for left_s in (7.2, 0.0):
+        yield Shown(f"the daemon is to end, {left_s:g} s", state(Mode.FAULT, fault=Fault.BRAKE_SLIPS, end_s=left_s,
+                                                                 **carries), tripped(Fault.BRAKE_SLIPS))  # fmt: skip
     yield Shown("stopping", state(Mode.FAULT, fault=Fault.E_STOP, held_by=HeldBy.CLOSING,
                                   flag_names=["stopping", "drive_enabled"]), tripped(Fault.E_STOP))  # fmt: skip
     yield Shown("lowering", state(Mode.RELEASING, fault=Fault.LIMIT, active=False), tripped(Fault.LIMIT, False))

@@ -135,8 +135,9 @@ class StandIn:
         values: dict[str, Any] = dict.fromkeys((field.name for field in RECORD.fields), 0) | {
             "t_ns": now, "tick": tick, "lateness_ns": late, "work_ns": 80_000 + tick % 1000, "mode": int(self.mode),
             "fault": int(self.fault), "tension_n": vertical, "vertical_n": vertical, "target_n": self.target,
-            "sink_mm_s": math.nan, "slack_s": math.nan, "setpoint_n": self.target, "drive_current_a": 0.7,
-            "drive_temperature_c": 25.0, "flags": 0 if self.mode is Mode.DISARMED else int(Flag.DRIVE_ENABLED),
+            "sink_mm_s": math.nan, "slack_s": math.nan, "end_s": math.nan, "setpoint_n": self.target,
+            "drive_current_a": 0.7, "drive_temperature_c": 25.0,
+            "flags": 0 if self.mode is Mode.DISARMED else int(Flag.DRIVE_ENABLED),
             "held_by": int(HeldBy.BRAKE if self.mode is Mode.DISARMED else HeldBy.MOTOR),
             "stroke_mm": self.stroke, "tangential_rad": 0.1 * math.sin(now / 5e9), "normal_rad": math.nan,
             "inclination_quality": 1, "frames_sent": tick, "checks": self.failed,

@@ -13,10 +13,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from hil.faults.in_device import brake_slips
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
+from rigctl.control.ending import WAITS_NS
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import Correction
@@ -89,6 +92,32 @@ def drill(rig: Lockstep) -> None:
     rig.run(1.0)
 
 
+def end_with_a_load(rig: Lockstep) -> None:
+    """The motor carries a load for a brake that slips, and the loop is to end."""
+    rig.run(0.3)
+    rig.command(Setting.HOST_CHECKS, 0.0)
+    assert rig.command(Verb.ARM) is Refusal.NONE
+    rig.command(Verb.TARGET, 60.0)
+    rig.command(Verb.TENSION)
+    rig.run_until(Mode.COMPENSATING, 20.0)
+    rig.hold()
+    brake_slips(0.5)(Stand(rig, "replay"))
+    rig.run(4.0)
+    assert rig.loop.machine.carries
+    rig.loop.stop_requested = True
+
+
+def lowered(rig: Lockstep) -> None:
+    end_with_a_load(rig)
+    rig.run(WAITS_NS * 1e-9 + 1.5)
+
+
+def left(rig: Lockstep) -> None:
+    end_with_a_load(rig)
+    rig.run(2.0)
+    rig.loop.repeated_stops += 1
+
+
 def frame(can_id: int, data: bytes) -> bytes:
     return can_id.to_bytes(4, "little") + bytes([len(data), 0, 0, 0]) + data.ljust(8, b"\0")
 
@@ -113,6 +142,18 @@ def test_a_recording_comes_out_bit_identical(paper: tuple[Recording, ProcessSpan
     assert span.records["frames_refused"][-1] >= 1
     assert span.records["flags"][-1] & Flag.STOPPING
     assert span.cut_short == ""
+    assert replayed(recording, span) == (len(span.records), None)
+
+
+@pytest.mark.gate("left")
+@pytest.mark.parametrize("ending", [lowered, left], ids=["lowered", "left"])
+def test_an_end_that_a_load_delays_comes_out_bit_identical(
+    settings: RigSettings, gains: Gains, tmp_path: pathlib.Path, ending: Callable[[Lockstep], None]
+) -> None:
+    recording = recorded(settings, gains, tmp_path, ending)
+    (span,) = spans(recording)
+    assert np.isfinite(span.records["end_s"]).any()
+    assert bool(span.records["tension_n"][-1] < settings.tension.slack_n) is (ending is lowered)
     assert replayed(recording, span) == (len(span.records), None)
 
 

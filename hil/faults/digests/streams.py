@@ -16,6 +16,7 @@ from hil.faults.digests import name_map
 from hil.faults.lockstep_run import Run
 from hil.wire import FRAME
 from rigctl.control.checks import Check
+from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.faults import Fault
@@ -44,7 +45,7 @@ _EVENT: dict[Kind, dict[str, type[IntEnum]]] = {
     Kind.CAUSE: _TRIP, Kind.CAUSE_OVER: _TRIP, Kind.RESET: {"a": Fault}, Kind.START_ANEW: {"a": Fault},
     Kind.STROKE_LEFT: {"a": Mode}, Kind.ESCALATION: {"a": Fault, "b": Symptom}, Kind.HELD: _HELD,
     Kind.POWER_OFF: {"a": PowerOff}, Kind.LOAD_AT_REST: {"a": LoadAtRest, "b": LoadAtRest},
-    Kind.NO_MARGINS: {"a": Unmeasured},
+    Kind.NO_MARGINS: {"a": Unmeasured}, Kind.ENDING: {"a": EndStep},
 }  # fmt: skip
 _CAUSE_BITS = "cause_bits"
 _PLACE = re.compile(rb" in [\w<>]+:\d+(?=: )")

@@ -467,6 +467,36 @@ def test_the_containers_entry_points_serve_a_rig_and_its_page(computer: ServiceC
     computer.done("systemctl", "stop", "container-page", "container-rig")
 
 
+def test_a_load_that_the_motor_carries_bars_the_removal_and_is_lowered_by_a_stop(computer: ServiceComputer) -> None:
+    disarm(computer)
+    computer.done("rigctl", "target", "100")
+
+    def tensioned() -> bool:
+        """Given again while a busy machine trips the rig."""
+        for word in ("reset", "arm"):
+            computer.run("rigctl", word)
+        return computer.run("rigctl", "tension", "--wait").returncode == 0
+
+    computer.wait_for(tensioned)
+    computer.done("rigctl", "hold")
+    beside_the_bus = ("-p", "PrivateTmp=yes", "-p", f"JoinsNamespaceOf={SIMULATED}")
+    inject = ("/usr/lib/rigctl/bin/python3", "-m", "hil", "inject", f"/etc/rigctl/{NAME}.yaml", "brake_slips_parking")
+    computer.done("systemd-run", "--wait", "--quiet", *beside_the_bus, *inject)
+    computer.wait_for(lambda: computer.run("rigctl", "carry", "600").returncode == 0)
+    computer.wait_for(lambda: "carries" in json.loads(computer.done("rigctl", "status", "--json"))["flag_names"])
+    for removal in (f"rigctl uninstall {NAME}", "dpkg --force-depends --remove rigctl"):
+        refused = computer.run(*removal.split())
+        assert refused.returncode != 0
+        assert "rigctl: paper_rig: the motor carries a load of " in refused.stderr, refused.stderr
+    assert computer.value(DAEMON, "ActiveState") == "active"
+    computer.done("systemctl", "stop", DAEMON)
+    said = computer.journal(DAEMON)
+    assert "the load is lowered" in said
+    assert "stopped in FAULT" in said.partition("the load is lowered")[2]
+    assert computer.value(DAEMON, "Result") == "success"
+    computer.done("systemctl", "restart", SIMULATED)  # with a brake that holds
+
+
 def test_uninstall_stops_the_services_and_keeps_settings_and_data(computer: ServiceComputer) -> None:
     computer.done("rigctl", "uninstall", "paper_rig")
     assert computer.value(DAEMON, "ActiveState") == "inactive"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import re
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,9 @@ from collections.abc import Callable
 
 import pytest
 
+from rigctl.cli.install_files import STOP_SPARE_S, Host, of_rig, rig_drop_in
+from rigctl.config import rig_file
+from rigctl.control.ending import LIMIT_S, limit_s
 from tests.builders.paths import ROOT
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -66,3 +70,20 @@ def test_users_and_folders_are_ones_that_systemd_can_make(root: pathlib.Path) ->
     assert made.returncode == 0, made.stderr
     users = {line.split(":")[0] for line in (root / "etc/passwd").read_text().splitlines()}
     assert {"rigctl", "rigctl-gateway", "rigctl-recorder", "rigctl-page", "rigctl-sim"} <= users
+
+
+def test_the_unit_gives_a_load_the_time_to_be_lowered() -> None:
+    """``rigctl install`` adds a longer one for a rig that needs it."""
+    lines = (ROOT / "deploy/systemd/rigctl@.service").read_text().splitlines()
+    for name in ("TimeoutStopSec", "TimeoutAbortSec"):
+        assert f"{name}={LIMIT_S + STOP_SPARE_S:.0f}" in lines
+    paper = rig_file.load(ROOT / "config/paper_rig.yaml")
+    soft = paper.model_copy(update={"plant": paper.plant.model_copy(update={"spring_n_mm": 2.0})})
+    one, other = (
+        of_rig(settings, Host(frozenset(range(4))), None)[rig_drop_in(settings.rig)].decode()
+        for settings in (paper, soft)
+    )
+    assert "TimeoutStopSec" not in one
+    longer = re.search(r"^TimeoutStopSec=(\d+)$", other, re.MULTILINE)
+    assert longer is not None
+    assert int(longer[1]) >= limit_s(soft) + STOP_SPARE_S > LIMIT_S + STOP_SPARE_S

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file
+from rigctl.control.ending import EndStep
 from rigctl.control.events import Kind, fault_text, worded
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.safety import Action
@@ -209,6 +210,26 @@ def test_an_emergency_message_stands_until_the_device_withdraws_it() -> None:
     assert alarms.rows(CALM, S)[0].stands
     alarms.note(event(Kind.EMERGENCY, 1, 5, 0, about="00"))
     assert not alarms.rows(CALM, 2 * S)[0].stands
+
+
+def test_an_end_that_a_load_delays_is_an_urgent_alarm_until_the_load_is_lowered() -> None:
+    alarms = Alarms([event(Kind.ENDING, 1.0, EndStep.WAITS, 0, 10.0, 300.0)])
+    (row,) = alarms.rows(CALM, 2 * S)
+    assert (row.cause, row.priority, row.stands) == ("ENDING", Priority.URGENT, True)
+    assert "300 N" in row.text and "in 10 s the motor lowers the load" in row.text
+    alarms.note(event(Kind.ENDING, 11.0, EndStep.LOWERS, 0, 0.0, 300.0))
+    (row,) = alarms.rows(CALM, 12 * S)
+    assert (row.stands, row.count) == (True, 1)
+    alarms.note(event(Kind.ENDING, 19.0, EndStep.LOWERED, 0, 18.0, 0.2))
+    (row,) = alarms.rows(CALM, 20 * S)
+    assert not row.stands
+
+
+@pytest.mark.parametrize("step", [EndStep.LEFT, EndStep.GONE, EndStep.LATE])
+def test_a_load_that_an_end_leaves_stays_an_alarm(step: EndStep) -> None:
+    (row,) = Alarms([event(Kind.ENDING, 1.0, step, 0, 18.0, 300.0)]).rows(CALM, 2 * S)
+    assert row.stands
+    assert "leaves 300 N to the brake" in row.text
 
 
 def test_the_state_says_what_stands_where_an_event_is_missing() -> None:

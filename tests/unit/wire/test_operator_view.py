@@ -124,6 +124,17 @@ def test_a_stop_that_still_runs_blocks_a_reset() -> None:
     assert found.does == "stops the drive, then takes it off power"
 
 
+@pytest.mark.parametrize(("left_s", "shown"), [(7.2, "in 7 s the motor lowers"), (0.0, "the motor lowers")])
+def test_an_end_that_a_load_delays_is_what_the_rig_does(left_s: float, shown: str) -> None:
+    carried = state(Mode.FAULT, "drive_enabled", "brake_fails", "carries", held_by="MOTOR", fault="BRAKE_SLIPS",
+                    fault_text="words", end_s=left_s)  # fmt: skip
+    found = view(carried)
+    assert found.does.startswith("stroke to be held: held by the motor; THE DAEMON IS TO END: " + shown)
+    assert "2 Support the payload from below" in found.next_step
+    assert [step.verb for step in found.steps] == ["", "", "lower"]
+    assert "DAEMON" not in view(carried | {"end_s": None}).does
+
+
 def test_what_bars_arming_is_the_next_step_while_disarmed() -> None:
     failing = {"E_STOP": Check.E_STOP.words}
     found = view(state(Mode.DISARMED, preflight={"failing": failing}))
