@@ -15,9 +15,11 @@ from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
+from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.hold_sockets import GivenHolds, Hold
 from rigctl.control.homed import LastStroke
+from rigctl.control.last_stroke import brake_of
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
@@ -80,6 +82,7 @@ class Lockstep:
         law: LawFactory | None = None,
         correction: Correction | None = None,
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
+        kept_brake: KeptBrake = KeptBrake(),  # noqa: B008 - frozen
         host_checks: int = 0,
         built: RigSettings | None = None,
     ) -> None:
@@ -110,7 +113,7 @@ class Lockstep:
         self.holds = GivenHolds()
         self.events = runtime.events.reader()
 
-        def make_loop(last: LastStroke) -> Loop:
+        def make_loop(last: LastStroke, brake: KeptBrake) -> Loop:
             return Loop(
                 settings,
                 gains,
@@ -124,12 +127,13 @@ class Lockstep:
                 watched=self.report.watched,
                 found=self.report.found,
                 last_stroke=last,
+                kept_brake=brake,
                 host_checks=host_checks,
                 holds=self.holds,
             )
 
         self._make_loop = make_loop
-        self.loop = self._make_loop(last_stroke)
+        self.loop = self._make_loop(last_stroke, kept_brake)
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
         """Called after every period of the rig, whether the loop ticks then or misses it."""
@@ -143,10 +147,11 @@ class Lockstep:
 
     def start_anew(self) -> None:
         """Bring the devices up and make a new loop on the same rig, as the supervisor does with the control process."""
-        last = LastStroke(self.loop.inbox.stroke_mm)
+        last, record = LastStroke(self.loop.inbox.stroke_mm), self._records.latest()
+        brake = KeptBrake() if record is None else brake_of(record)
         self.report = self._bring_up()
         self.clock = self._clock_of_now()
-        self.loop = self._make_loop(last)
+        self.loop = self._make_loop(last, brake)
 
     def _bring_up(self) -> startup.StartupReport:
         return startup.bring_up(self._bus, self.settings, lambda: self.rig_ns)
@@ -268,6 +273,7 @@ def lockstep(
     law: LawFactory | None = None,
     correction: Correction | None = None,
     last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen
+    kept_brake: KeptBrake = KeptBrake(),  # noqa: B008 - frozen
     host_checks: int = 0,
     built: RigSettings | None = None,
 ) -> Iterator[Lockstep]:
@@ -276,7 +282,7 @@ def lockstep(
         runtime = Runtime(pathlib.Path(folder))
         subject = Lockstep(
             settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke,
-            host_checks=host_checks, built=built,
+            kept_brake=kept_brake, host_checks=host_checks, built=built,
         )  # fmt: skip
         try:
             yield subject

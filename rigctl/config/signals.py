@@ -65,6 +65,7 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("sink_mm_s", "d", "mm/s", "speed of the stroke on the closed brake, negative: the load sinks; 0 at rest"),
     Signal("slack_s", "d", "s", "time until the rope is slack at that speed; NaN for a load that does not sink"),
     Signal("end_s", "d", "s", "of an end that a load delays: time until it is lowered, 0 while it is; NaN for none"),
+    Signal("slipped_n", "d", "N", "load at which the brake slipped, while it is known not to hold; NaN: unknown"),
     Signal("fault", "H", "", "latched fault, see faults; 0 none"),
     Signal("flags", "H", "", "bits, see flags"),
     Signal("tension_n", "d", "N", "tension cell, along the rope",

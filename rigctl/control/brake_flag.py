@@ -6,7 +6,9 @@ A fault is reset, the flag is not: only a brake test clears it.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
+from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import fall_limit_n
@@ -25,22 +27,41 @@ TESTED_SHARE = 0.8
 STROKE_BITS = sum(1 << fault for fault in STROKE_DOUBTED)
 _SLIP_BITS = 1 << Fault.STROKE_MOVES | 1 << Fault.BRAKE_SLIPS
 _SINK_BIT = 1 << Fault.LOAD_SINKS
+_KNOWN_BEFORE = "known before this start"
+
+
+@built
+@dataclass(frozen=True)
+class KeptBrake:
+    """The flag as it is kept from loop to loop. ``slipped_n``: the load at which the brake slipped, None not known.
+
+    ``why``: why the flag could not be read; it then counts as set.
+    """
+
+    fails: bool = False
+    slipped_n: float | None = None
+    why: str = ""
 
 
 class BrakeFlag:
     """``fails``: the brake does not hold; ``why``: what has set it. ``slipped_n``: the load then, NaN not known.
 
-    ``changed``: the flag has been set or cleared since the loop last took note.
+    ``assumed``: whether it holds is not known, so that it counts as one that does not. ``changed``: the flag has been
+    set or cleared since the loop last took note.
     """
 
-    def __init__(self, settings: RigSettings, rope: RopeMemory) -> None:
+    def __init__(self, settings: RigSettings, rope: RopeMemory, kept: KeptBrake = KeptBrake()) -> None:
+        if settings.cylinder.brake_waiver is not None:
+            kept = KeptBrake()  # there is no brake that a test could show to hold again
         self._rope = rope
         self._brake = settings.cylinder.brake_waiver is None
         self._most_n = settings.tension.target_max_n
         self._fall_n = FALLS * fall_limit_n(settings)
-        self.fails = self.changed = False
-        self.why = ""
-        self.slipped_n = math.nan
+        self.fails = self.changed = kept.fails
+        self.why, self.assumed = kept.why or _KNOWN_BEFORE, bool(kept.why)
+        self.slipped_n = math.nan if kept.slipped_n is None else kept.slipped_n
+        # A load that hangs on the brake at a start is not the one at which it slipped in a loop before.
+        self._weighs = not kept.fails or kept.slipped_n is not None
         self._moved_mm, self._last_mm, self._seen_ns = 0.0, math.nan, 0
         self._falls_since_ns: int | None = None
 
@@ -74,7 +95,7 @@ class BrakeFlag:
             self.set(f"the stroke has moved {self._moved_mm:.2f} mm on the closed brake")
         elif self._falls(standing, snapshot):
             self.set("the tension falls on the closed brake, and the encoder is in doubt")
-        if self.fails and self._rope.tension_n == snapshot.tension_n:
+        if self.fails and self._weighs and self._rope.tension_n == snapshot.tension_n:
             self.slipped_n = max(snapshot.tension_n, self.slipped_n)  # the first one of them for NaN
 
     def _falls(self, standing: int, snapshot: Snapshot) -> bool:
@@ -90,13 +111,14 @@ class BrakeFlag:
     def set(self, why: str) -> None:
         """The brake does not hold."""
         if not self.fails:
-            self.fails = self.changed = True
+            self.fails = self.changed = self._weighs = True
             self.why, self.slipped_n = why, math.nan
 
     def tested(self, tension_n: float) -> None:
         """A brake test has passed with this tension on the closed brake; with enough of it the brake holds."""
         if self.fails and tension_n >= self.wanted_n:
-            self.fails, self.changed, self._moved_mm = False, True, 0.0
+            self.fails, self.changed, self.assumed = False, True, False
+            self._moved_mm, self.slipped_n = 0.0, math.nan
             self.why = f"a brake test with {tension_n:.0f} N has passed"
 
     @property

@@ -174,7 +174,7 @@ def run(directory: str) -> int:
     warm_up(settings, gains, runtime, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
-    correction, last = in_force(runtime).correction, last_stroke.in_force(runtime)
+    correction, kept = in_force(runtime).correction, last_stroke.in_force(runtime)
     history = cell_history(runtime.records.reader())
     holds = HoldSockets(runtime)
     loop = Loop(
@@ -189,7 +189,8 @@ def run(directory: str) -> int:
         process_data=report.process_data,
         watched=report.watched,
         found=report.found,
-        last_stroke=last,
+        last_stroke=kept.stroke,
+        kept_brake=kept.brake,
         cell_history=history,
         holds=holds,
     )
@@ -203,7 +204,8 @@ def run(directory: str) -> int:
             "pid": os.getpid(),
             "host_checks": int(Check.HOST),  # as the loop started with them, for a replay
             "realtime": [asdict(setting) for setting in applied],
-            "last_stroke": asdict(last),  # also for a replay
+            "last_stroke": asdict(kept.stroke),  # also for a replay
+            "kept_brake": asdict(kept.brake),  # also for a replay
             "cell_history": history,  # also for a replay
             "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
             **report.as_json(),

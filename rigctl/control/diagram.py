@@ -129,12 +129,12 @@ accepted while the load sinks.
 
 It also sets the flag `brake_fails`: the brake is known not to hold. BRAKE_SLIPS sets it too, as do a net motion of
 {MOVED_MM:g} mm on the closed brake since the stroke was last commanded to move, and a tension that has lost
-{FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s while the encoder is in doubt. No reset clears it,
-only a brake test: {LONG_TEST_NS * 1e-9:g} s of `arm` with at least {TESTED_SHARE:.0%} of the load at which the brake
-slipped (of `tension.target_max_n` where that is not known). If the load moves in that test, the motor takes it. With a
-slack rope the flag stays, and `arm` is accepted; `tension` then ends in HOLD in place of COMPENSATING, for
-`brake-test`: with the payload supported from below, the brake has the load for the same {LONG_TEST_NS * 1e-9:g} s, and
-the motor takes it back, in FAULT where it has moved by {BRAKE_TEST_MM:g} mm.
+{FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s while the encoder is in doubt. No reset clears it, nor
+does a start of the daemon, only a brake test: {LONG_TEST_NS * 1e-9:g} s of `arm` with at least {TESTED_SHARE:.0%} of
+the load at which the brake slipped (of `tension.target_max_n` where that is not known). If the load moves in that test,
+the motor takes it. With a slack rope the flag stays, and `arm` is accepted; `tension` then ends in HOLD in place of
+COMPENSATING, for `brake-test`: with the payload supported from below, the brake has the load for the same
+{LONG_TEST_NS * 1e-9:g} s, and the motor takes it back, in FAULT where it has moved by {BRAKE_TEST_MM:g} mm.
 
 While the flag is set the operator has two commands in FAULT, HOLD and DISARMED; outside FAULT they latch BRAKE_SLIPS
 first:

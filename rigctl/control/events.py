@@ -53,7 +53,7 @@ class Kind(IntEnum):
     SETTING_LOST = 51  # a: node, b: index << 8 | sub-index, value: found (NaN: no value), limit: wanted, text: in words
     READ_BACK = 52  # a: objects that were as wanted, value: how long it took in s
     STROKE = 53  # a: 1 the drive's position is believed, 0 not, value: it in mm, limit: last known in mm, text: why
-    BRAKE_FLAG = 56  # a: 1 the brake is known not to hold, 0 it holds; value: tension in N, text: why
+    BRAKE_FLAG = 56  # a: 1 the brake does not hold, b: 1 that is assumed; value: tension, limit: of a test; text: why
     ENDING = 58  # a: see rigctl.control.ending.EndStep, value: WAITS: time until the motor lowers the load, LOWERS: 0,
     # else time since the request, both in s, limit: tension in N
     WITNESS = 57  # a: see rigctl.control.modes.Witness, text: the command; an operator has named it
@@ -471,6 +471,13 @@ def _slack_zero(a: int, b: int, value: float, limit: float, _text: str) -> Worde
     return Worded("info", f"{seen}; {'taken out from now on' if a else 'not corrected'}")
 
 
+def _brake_fails(*, assumed: bool, tension_n: float, wanted_n: float, why: str) -> str:
+    seen = "the brake counts as one that does not hold" if assumed else "the brake does not hold"
+    load = f", {tension_n:.0f} N on the rope" if tension_n else ""
+    test = f"rigctl arm on a tight rope of {wanted_n:.0f} N at least, once nothing bars it"
+    return f"{seen}: {why}{load}; carry and lower go by the motor, and only a brake test clears this: {test}"
+
+
 def _creep(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
     if not text:
         return Worded("info", "tension cell: no creep is taken out")
@@ -537,11 +544,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         if a
         else "brake test not possible: the rope is slack",
     ),
-    Kind.BRAKE_FLAG: lambda a, _b, v, _m, t: Worded(
+    Kind.BRAKE_FLAG: lambda a, b, v, m, t: Worded(
         "error" if a else "info",
-        f"the brake does not hold: {t}, {v:.0f} N on the rope; only a brake test clears this"
-        if a
-        else f"the brake holds: {t}",
+        _brake_fails(assumed=bool(b), tension_n=v, wanted_n=m, why=t) if a else f"the brake holds: {t}",
     ),
     Kind.WITNESS: lambda a, _b, _v, _m, t: Worded(
         "warning", f"{t} by the {_WITNESS.get(a, 'witness')} alone, as the operator has named it"

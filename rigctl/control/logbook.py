@@ -69,12 +69,13 @@ class Logbook:
     def record(  # noqa: PLR0915 - one line for each field of the record
         self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
         outbox: Outbox, command_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
-        carries: bool, end_s: float, move: int = 0,
+        carries: bool, end_s: float, slipped_n: float, move: int = 0,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
         ``work_ns`` is of the tick before, ``command_seq`` is the last command taken.
         ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
+        ``slipped_n``: see `rigctl.control.brake_flag.BrakeFlag`.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
@@ -96,6 +97,7 @@ class Logbook:
         sinks_mm_s = -snapshot.sink_mm_s
         values.slack_s = snapshot.sink_left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
         values.end_s = end_s
+        values.slipped_n = slipped_n
         values.fault = machine.fault
         values.flags = flags
         values.tension_n = inbox.tension_n

@@ -10,7 +10,7 @@ import can
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, frequency_trial
-from rigctl.control.brake_flag import BrakeFlag
+from rigctl.control.brake_flag import BrakeFlag, KeptBrake
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.clock import Clock
@@ -87,6 +87,7 @@ class Loop:
         watched: Sequence[Watched] = (),
         found: Sequence[LeftInDrive] = (),
         last_stroke: LastStroke = LastStroke(),  # noqa: B008 - frozen: nothing on record
+        kept_brake: KeptBrake = KeptBrake(),  # noqa: B008 - frozen: nothing on record
         cell_history: CellHistory | None = None,
         holds: HoldSource | None = None,
     ) -> None:
@@ -97,6 +98,7 @@ class Loop:
         ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
         ``found``: what a former controller had left in the drive, for the record.
         ``process_data``: as start-up found it; None: as the rig file has it. ``last_stroke``: the last known stroke.
+        ``kept_brake``: whether the brake was known not to hold in the loop before.
         ``cell_history``: of the cell's creep in the loop before; None: not known. ``holds``: HOLD from this computer's
         users; None: there are none.
         """
@@ -132,7 +134,7 @@ class Loop:
         """Requests to end after the first: the next one leaves a load that delays the end."""
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
-        self.brake, self._carried = BrakeFlag(settings, self._rope), CarriedLoad(settings, self._rope)
+        self.brake, self._carried = BrakeFlag(settings, self._rope, kept_brake), CarriedLoad(settings, self._rope)
         self._watch = Watch(settings, limit_rows(settings))
         self._ending = Ending(settings)
         self._escalator = Escalator(settings, arming.stopping_ns(settings))
@@ -153,6 +155,8 @@ class Loop:
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
         for index, value, left in found:
             logbook.event(started_ns, Kind.FOUND_AT_START, settings.cylinder.node, index << 8, value, left)
+        if self.brake.changed:
+            self._take_note_of_brake(started_ns)
         self._orders.host_checks = host_checks
         if correction is not None:
             self._orders.overdue = correction.overdue
@@ -375,7 +379,7 @@ class Loop:
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
             arming=arming, stroke_known=self.homed.known, carries=self._carries, end_s=self._ending.left_s,
-            move=0 if self.learning is None else self.learning.number,
+            slipped_n=self.brake.slipped_n, move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
         if self.learning is not None:
             logbook.moves(t_ns, self.learning.news)
@@ -470,8 +474,9 @@ class Loop:
         """The brake is known not to hold from now on, or to hold again."""
         brake, self.brake.changed = self.brake, False
         self.machine.brake_fails = brake.fails
+        tension_n, wanted_n = number(self._rope.tension_n), brake.wanted_n if brake.fails else 0.0
         text = brake.why.encode()[:80]
-        self._logbook.event(t_ns, Kind.BRAKE_FLAG, int(brake.fails), value=number(self._rope.tension_n), text=text)
+        self._logbook.event(t_ns, Kind.BRAKE_FLAG, int(brake.fails), int(brake.assumed), tension_n, wanted_n, text)
 
     def _trip_of_carried(self, snapshot: Snapshot) -> Trip | None:
         """What ends a carrying by the motor that alone can hold the load; all other causes are reported."""

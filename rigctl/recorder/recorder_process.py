@@ -119,6 +119,7 @@ class Recorder:
         self._host = AuditHost(settings.audit.syslog) if settings.audit.syslog is not None else None
         self._records = runtime.records.reader()
         self._kept_mm, self._keep_ns = math.nan, 0  # the stroke last written, and when it may be next
+        self._kept_brake = last_stroke.read(settings).brake
         self._failures = 0  # of the recording, already reported
         self._misordered: dict[str, str] = {}  # words by the name's part that a run's files share
         self._order_ns = 0
@@ -175,27 +176,33 @@ class Recorder:
             self._add(*said)
 
     def _keep_stroke(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
-        """Write the last known stroke, once a second while it changes, and at the end.
+        """Write the last known stroke, once a second while it changes, and at the end; the brake's flag at once.
 
-        Only a stroke at rest is synced to the disk: a stalled disk must not hold up the recording.
+        Of the strokes only one at rest is synced to the disk: a stalled disk must not hold up the recording.
         """
-        record = self._records.latest()
-        stroke_mm = last_stroke.of_record(record)
-        if record is None or stroke_mm is None or abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM:
+        if (record := self._records.latest()) is None:
             return
-        at_rest = final or int(record["mode"]) in (Mode.DISARMED, Mode.HOLD, Mode.FAULT)
-        if not final and now_ns < self._keep_ns:
+        stroke_mm, brake = last_stroke.of_record(record), last_stroke.brake_of(record)
+        turned = last_stroke.differ(brake, self._kept_brake)
+        moved = stroke_mm is not None and not abs(stroke_mm - self._kept_mm) < last_stroke.KEPT_MM
+        at_once = brake.fails is not self._kept_brake.fails
+        may = self.trouble.may_try("last stroke", now_ns) if at_once else now_ns >= self._keep_ns
+        if not (turned or moved) or not (final or may):
             return
         self._keep_ns = now_ns + KEEP_STROKE_NS
+        at_rest = final or int(record["mode"]) in (Mode.DISARMED, Mode.HOLD, Mode.FAULT)
         try:
-            last_stroke.write(self._settings, stroke_mm, wall_ns, sync=at_rest)
+            kept = last_stroke.shown_by(self._settings, record)
+            last_stroke.write(self._settings, kept, wall_ns, sync=at_rest or turned)
         except OSError as error:
             why = f"{self._settings.last_stroke} cannot be written: {error.strerror}"
             self.trouble.begins("last stroke", why, now_ns)
             return
-        self._kept_mm = stroke_mm
+        self._kept_mm, self._kept_brake = math.nan if stroke_mm is None else stroke_mm, brake
         if (gap := self.trouble.ends("last stroke", now_ns)) is not None:
-            self._add(self._own(now_ns, wall_ns, "written_again", "the stroke could not be written before", gap))
+            self._add(
+                self._own(now_ns, wall_ns, "written_again", "stroke and brake's flag could not be written before", gap)
+            )
 
     def _watch_host(self, now_ns: int, wall_ns: int) -> None:
         """Report when the audit log's host cannot be reached, and when it can again."""

@@ -16,6 +16,7 @@ from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
+from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
@@ -51,6 +52,7 @@ class ProcessSpan:
     supervised: bool
     watched: tuple[Watched, ...]
     last_stroke: LastStroke
+    kept_brake: KeptBrake
     cell_history: CellHistory | None
     host_checks: int
     process_data: ProcessData | None  # None: an older recording without it, made with the default one
@@ -108,6 +110,7 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
         found = control.get("process_data")
         process_data = ProcessData.of_json(found) if found is not None else None
         last = msgspec.convert(control.get("last_stroke", {}), LastStroke)
+        brake = msgspec.convert(control.get("kept_brake", {}), KeptBrake)
         history = msgspec.convert(control.get("cell_history"), CellHistory | None)
         watched = msgspec.convert(control.get("watched", []), tuple[Watched, ...])
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
@@ -122,8 +125,8 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
     taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))
     host = int(control.get("host_checks", Check.HOST))
     return ProcessSpan(
-        whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, history, host,
-        process_data, cut_short,
+        whole, started[-1].t_ns, taken, settings, gains, correction, supervised, watched, last, brake, history,
+        host, process_data, cut_short,
     )  # fmt: skip
 
 
@@ -166,7 +169,8 @@ def play(
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
             supervised=span.supervised, host_checks=span.host_checks, correction=span.correction, watched=span.watched,
-            last_stroke=span.last_stroke, process_data=span.process_data, cell_history=span.cell_history, holds=holds,
+            last_stroke=span.last_stroke, kept_brake=span.kept_brake, process_data=span.process_data,
+            cell_history=span.cell_history, holds=holds,
         )  # fmt: skip
         replayed, orders = runtime.records.reader(), runtime.commands.writer()
         batch: list[Tick] = []

@@ -30,7 +30,6 @@ from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
 from rigctl.control import ending, last_stroke
-from rigctl.control.homed import LastStroke
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
@@ -111,7 +110,7 @@ class Supervisor:
         self._ending = False
         self._feed_at_ns = 0
         self._supervision: Supervision | None = None
-        self._folder_lost = ""
+        self._folder_lost = self._not_kept = ""
         apart = WRITERS if separate_users else {}
         wanted = PROCESSES | (PAGE if settings.page is not None else {})
         self._modules = {name: module for name, module in wanted.items() if name not in apart}
@@ -330,13 +329,33 @@ class Supervisor:
         return standing
 
     def _put_last_stroke(self, newest: np.void | None) -> None:
-        """Write the last known stroke for a control process about to start: from the newest record, else the file."""
-        seen_mm = last_stroke.of_record(newest)
-        last = LastStroke(seen_mm) if seen_mm is not None else last_stroke.read(self.settings)
-        if last.why:
-            self._say(f"WARNING: the stroke last known: {last.why}; it has to be confirmed")
-        # Without the file, or with an older one, the stroke has to be confirmed.
-        self._write_or_warn(last_stroke.IN_FORCE, last, "; the stroke last known stays as it was")
+        """Write the last known stroke and the brake's flag for a control process about to start.
+
+        They are those of the newest record, else of the file.
+        """
+        kept = last_stroke.shown_by(self.settings, newest)
+        if kept.stroke.why:
+            self._say(f"WARNING: the stroke last known: {kept.stroke.why}; it has to be confirmed")
+        with contextlib.suppress(OSError):  # a loop that finds none has the stroke confirmed, and the brake tested
+            self._runtime.place(last_stroke.IN_FORCE).unlink(missing_ok=True)
+        self._write_or_warn(last_stroke.IN_FORCE, kept, "; the stroke has to be confirmed, and the brake tested")
+
+    def _keep_brake(self, newest: np.void | None) -> None:
+        """Write a changed flag of the brake to the file, where no recorder does it."""
+        settings = self.settings
+        if newest is None:
+            return
+        kept = last_stroke.shown_by(settings, newest)
+        if not last_stroke.differ(kept.brake, last_stroke.read(settings).brake):
+            return
+        try:
+            last_stroke.write(settings, kept, time.time_ns())
+        except OSError as error:
+            holds = "does not hold" if kept.brake.fails else "holds again"
+            why = f"{settings.last_stroke} cannot be written: {error.strerror}; not kept: the brake {holds}"
+            if why != self._not_kept:
+                self._not_kept = why
+                self._say(f"WARNING: {why}; after the next start test it: rigctl arm on a tight rope")
 
     def _write_or_warn(self, name: str, value: object, otherwise: str) -> None:
         try:
@@ -456,6 +475,8 @@ class Supervisor:
                 if self._judge(child.name, child.stall, now, count, child.process.pid):
                     child.hung = True
                     child.process.kill()
+            elif child.name == "recorder":
+                self._keep_brake(records.latest())
         for service in self._services.values():  # the service manager replaces it by its watchdog
             if service.pid:
                 stall = self._stalls.setdefault(service.name, Stall())
@@ -512,6 +533,7 @@ class Supervisor:
             code, how = 1, f"{how}; ended because {self._folder_lost}"
         self._note(Doing.DAEMON_STOPPED, reason=how)
         self._end("recorder")
+        self._keep_brake(last)
         self._say(how if code == 0 else f"WARNING: {how}")
         return code
 

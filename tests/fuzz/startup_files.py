@@ -27,6 +27,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
+from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
@@ -57,6 +58,7 @@ _NOW_NS = 1_800_000_000 * 10**9
 _TEXTS = (b"", b"\x00" * 4096, b"[" * 100_000, b'{"a":' * 100_000, b"9" * 5000, b"1e999", b"\xff\xfe", b"\xed\xa0\x80",
           b"null", b"true", b"[]", b'"x"', b"{}", b"\n", b"-1", b"99999999999999999999")  # fmt: skip
 GAINS = {"k_tension": 0.5, "k_speed": 0.1, "k_integral": 1.0}
+KEPT = last_stroke.TakenOver(LastStroke(52.0), KeptBrake(fails=True, slipped_n=300.0))
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,8 @@ def _runtime(folder: pathlib.Path, rig: RigSettings) -> Runtime:
         "host_checks": 0,
         "realtime": [applied],
         "warnings": [],
-        "last_stroke": asdict(LastStroke(5.0)),
+        "last_stroke": asdict(KEPT.stroke),
+        "kept_brake": asdict(KEPT.brake),
     }
     runtime.write_json("control.json", control | report)
     recording = {"folder": "/tmp", "file": "x.mcap", "bytes": 1}
@@ -184,7 +187,7 @@ def _runtime(folder: pathlib.Path, rig: RigSettings) -> Runtime:
     runtime.write_json(
         RECORDED, {**told, "recording": recording, "failures": 0, "warnings": [], "trips": "", "t_ns": 1}
     )
-    runtime.write_json(last_stroke.IN_FORCE, LastStroke(52.0))
+    runtime.write_json(last_stroke.IN_FORCE, KEPT)
     runtime.write_json("calibration.json", Standing(0.4, 1.001, "2027-01-01T00:00:00Z"))
     now = time.monotonic_ns()
     lease = {"holder": "anna", "id": "0" * 32, "since_ns": now - 10**9, "until_ns": now + 10**11}
@@ -268,7 +271,7 @@ def _kept(folder: pathlib.Path, runtime: Runtime, rig: RigSettings) -> list[File
         rig, "tare", "anna", _NOW_NS, before={}, after={"zero_n": 0.4, "scale": 1.0}, figures={"n": 0.03}
     )
     ledger.append(rig, new)
-    last_stroke.write(rig, 52.0, _NOW_NS)
+    last_stroke.write(rig, KEPT, _NOW_NS)
     log = audit_log.AuditLog(rig.audit_log, rig.rig)
     log.append(
         [audit_log.Item(i, _NOW_NS, "command", "ARM accepted", "anna") for i in range(3)],

@@ -1,13 +1,15 @@
 """A brake that does not hold: the motor takes the load at the operator's command, judged by the plant's truth.
 
 The bound is that of the brake's own slip while the motor comes on, and of a drive that takes up a load: 0.2 mm from the
-tick of the accepted command on.
+tick of the accepted command on. Without a preload the load also turns the motor back, by 4 F/(m w2) (docs/simulate.md).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from contextlib import contextmanager
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -15,10 +17,13 @@ from hil.faults import in_device, on_bus, stand
 from hil.faults.in_device import CELL, SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.stand import Injector, Stand, Step
 from hil.lockstep import Lockstep, lockstep
+from hil.roll_back.study import RollBackCase, settings_of
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
+from rigctl.config.settings import RigSettings
+from rigctl.control.brake_flag import TESTED_SHARE, KeptBrake
 from rigctl.control.carried_load import LOWERS_MM_S
-from rigctl.control.events import Kind
+from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb, Witness
 from rigctl.control.tension import Gains
@@ -90,15 +95,30 @@ class SlippingRig:
         return before_mm - min(lowest)
 
 
+@contextmanager
+def braked(
+    settings: RigSettings,
+    gains: Gains,
+    mode: Mode,
+    load_n: float,
+    kept: KeptBrake = KeptBrake(),  # noqa: B008 - frozen
+) -> Iterator[SlippingRig]:
+    """A load on a sound brake, parked in HOLD or DISARMED."""
+    with lockstep(settings, gains, kept_brake=kept) as rig:
+        stand.start(rig, mode, load_n)
+        stand.enter(rig, mode)
+        if mode is Mode.HOLD:
+            stand.park(rig)
+            rig.events.read()
+        else:
+            rig.run(stand.PARKED_S)
+        yield SlippingRig(rig)
+
+
 @pytest.fixture
 def slipping(gains: Gains, request: pytest.FixtureRequest) -> Iterator[SlippingRig]:
     """A load of 300 N, parked; then the brake slips by the parameter, mm/s."""
-    with lockstep(SETTINGS, gains) as rig:
-        stand.start(rig, Mode.HOLD, LOAD_N)
-        stand.enter(rig, Mode.HOLD)
-        stand.park(rig)
-        rig.events.read()
-        found = SlippingRig(rig)
+    with braked(SETTINGS, gains, Mode.HOLD, LOAD_N) as found:
         found.put_in(brake_slips(getattr(request, "param", 0.3)))
         yield found
 
@@ -115,6 +135,12 @@ def e_stop_and_release(at: SlippingRig) -> None:
 
 def heartbeat_lost(at: SlippingRig) -> None:
     at.rig.clock.skip = 100
+    at.run(0.5)
+
+
+def start_anew(at: SlippingRig) -> None:
+    """The loop has ended, and the next one starts: too short before the command to see the slip again at 0.03 mm/s."""
+    at.rig.start_anew()
     at.run(0.5)
 
 
@@ -135,6 +161,7 @@ EVENTS = (
     Before("emergency stop", e_stop_and_release),
     Before("drive overheated", injected(in_device.trips(OVERHEATED))),
     Before("heartbeat lost", heartbeat_lost),
+    Before("start anew", start_anew),
     Before("inclinometer lost", injected(on_bus.silent(on_bus.slope))),
     Before("cell lost", injected(on_bus.silent(on_bus.cell))),
     Before("status lost", injected(on_bus.silent(on_bus.drive, 0x280))),
@@ -142,7 +169,7 @@ EVENTS = (
 )
 
 
-@pytest.mark.gate("emergency stop-0.3", "cell lost-1.0")
+@pytest.mark.gate("emergency stop-0.3", "cell lost-1.0", "start anew-0.03")
 @pytest.mark.parametrize("slipping", [0.03, 0.1, 0.3, 1.0], indirect=True)
 @pytest.mark.parametrize("event", EVENTS, ids=lambda event: event.what)
 def test_the_motor_takes_a_slipping_load_whatever_came_before(slipping: SlippingRig, event: Before) -> None:
@@ -155,7 +182,7 @@ def test_the_motor_takes_a_slipping_load_whatever_came_before(slipping: Slipping
 
 @pytest.mark.gate("inclinometer lost-0.3")
 @pytest.mark.parametrize("slipping", [0.1, 0.3, 1.0], indirect=True)
-@pytest.mark.parametrize("event", EVENTS[3:], ids=lambda event: event.what)
+@pytest.mark.parametrize("event", EVENTS[4:], ids=lambda event: event.what)
 def test_a_second_fault_does_not_give_the_load_back_to_the_brake(slipping: SlippingRig, event: Before) -> None:
     slipping.run_until(lambda: slipping.fault is not Fault.NONE, 30.0)
     assert slipping.carried(60.0) <= SINKS_MM
@@ -167,6 +194,57 @@ def test_a_second_fault_does_not_give_the_load_back_to_the_brake(slipping: Slipp
     assert slipping.rig.command(Verb.LOWER) is Refusal.NONE
     slipping.run_until(lambda: slipping.rig.loop.machine.mode is Mode.FAULT, 45.0)
     assert slipping.rig.rig.truth.tension_n < SLACK_N
+
+
+# -- a motor that needs time for its torque -------------------------------------------------------------------------
+def yielding(load_n: float, error_pct: float | None) -> RollBackCase:
+    """``error_pct``: of the preload, None: there is none."""
+    spring_n_mm = SETTINGS.plant.spring_n_mm
+    assert spring_n_mm is not None
+    return RollBackCase(spring_n_mm, load_n, error_pct)
+
+
+def sinks_mm(settings: RigSettings, load_n: float) -> float:
+    """Bound for a motor whose speed loop turns back under the load, unless it has a preload."""
+    if settings.cylinder.rated_force_n is not None:
+        return SINKS_MM
+    assert settings.simulation is not None
+    drive = settings.simulation.drive
+    assert drive.speed_loop_hz is not None
+    stiffness_n_m = drive.moved_kg * (math.tau * drive.speed_loop_hz) ** 2
+    return SINKS_MM + 4.0 * load_n / stiffness_n_m * 1e3
+
+
+def rows_of_a_yielding_motor() -> Iterator[Any]:
+    """Rows that do not meet the bound yet are expected to fail, so that the mark goes with the defect."""
+    for case in (yielding(LOAD_N, 5.0), yielding(0.5 * LOAD_N, None), yielding(LOAD_N, None)):
+        for event in EVENTS:
+            why = ""
+            if event.what == "cell reads 0":
+                why = "the preload follows a cell that reads 0: DRIVE_NOT_FOLLOWING ends the carrying"
+            elif case.error_pct is None and case.load_n == LOAD_N:
+                why = "the roll-back is faster than 2.5 mm/s from 200 N on: DRIVE_NOT_FOLLOWING ends the carrying"
+            marks = [pytest.mark.xfail(reason=why, raises=AssertionError, strict=True)] if why else []
+            preload = "preload" if case.error_pct is not None else "no preload"
+            for speed_mm_s in (0.03, 0.3, 1.0):
+                name = f"{case.load_n:g} N-{preload}-{event.what}-{speed_mm_s:g}"
+                yield pytest.param(case, event, speed_mm_s, marks=marks, id=name)
+
+
+@pytest.mark.gate("150 N-no preload-start anew-0.3")
+@pytest.mark.parametrize(("case", "event", "speed_mm_s"), [*rows_of_a_yielding_motor()])
+def test_a_motor_that_yields_takes_a_slipping_load_too(
+    gains: Gains, case: RollBackCase, event: Before, speed_mm_s: float
+) -> None:
+    settings = settings_of(SETTINGS, case)
+    with braked(settings, gains, Mode.DISARMED, case.load_n) as at:
+        at.put_in(brake_slips(speed_mm_s))
+        at.run_until(lambda: at.fault is not Fault.NONE, 30.0)
+        event.happens(at)
+        assert at.flagged
+        limit_mm = sinks_mm(settings, at.rig.rig.truth.tension_n)
+        assert at.carried(60.0) <= limit_mm
+        assert at.rig.rig.drive.control.enabled
 
 
 # -- one witness ----------------------------------------------------------------------------------------------------
@@ -232,6 +310,53 @@ def test_a_reset_leaves_the_flag_and_carry_is_accepted_without_a_fault(slipping:
     slipping.put_in(brake_slips(0.015))
     assert slipping.carried(10.0) <= SINKS_MM
     assert (slipping.rig.loop.machine.mode, slipping.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
+
+
+@pytest.mark.gate
+def test_a_start_anew_keeps_the_flag_with_its_load_and_carry_is_accepted(slipping: SlippingRig) -> None:
+    slipping.run_until(lambda: slipping.fault is not Fault.NONE, 10.0)
+    reset_to_disarmed(slipping)
+    start_anew(slipping)
+    assert (slipping.rig.loop.machine.mode, slipping.fault) == (Mode.DISARMED, Fault.NONE)
+    assert slipping.flagged
+    assert slipping.rig.run(0.001)["slipped_n"][-1] == pytest.approx(LOAD_N, abs=5.0)
+    slipping.put_in(brake_slips(0.015))
+    assert slipping.carried(10.0) <= SINKS_MM
+    assert (slipping.rig.loop.machine.mode, slipping.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
+
+
+def test_after_a_start_anew_a_long_test_clears_the_flag_and_the_next_loop_does_not_know_of_it(
+    slipping: SlippingRig,
+) -> None:
+    slipping.run_until(lambda: slipping.fault is not Fault.NONE, 10.0)
+    reset_to_disarmed(slipping)
+    start_anew(slipping)
+    assert slipping.rig.command(Verb.RESET) is Refusal.NONE  # the drive's own fault: it has missed our heartbeat
+    slipping.run(3.0)
+    began_ns = slipping.rig.clock.now()
+    assert slipping.rig.command(Verb.ARM, 0.0) is Refusal.NONE
+    assert slipping.rig.clock.now() - began_ns > 10e9
+    assert not slipping.flagged
+    assert math.isnan(slipping.rig.run(0.001)["slipped_n"][-1])
+    assert slipping.rig.command(Verb.DISARM, limit_s=5.0) is Refusal.NONE
+    start_anew(slipping)
+    assert not slipping.flagged
+
+
+@pytest.mark.parametrize("clears", [False, True], ids=["less load", "load enough"])
+def test_a_damaged_flag_is_an_event_and_needs_the_load_of_the_largest_target(gains: Gains, *, clears: bool) -> None:
+    """The load at which the brake slipped is not known: it is not the load that hangs there at the start."""
+    wanted_n = TESTED_SHARE * SETTINGS.tension.target_max_n
+    kept = KeptBrake(fails=True, why="paper_rig.stroke.json is damaged")
+    with braked(SETTINGS, gains, Mode.DISARMED, wanted_n + (10.0 if clears else -10.0), kept) as at:
+        (slot,) = (event for event in at.rig.events.read() if event["kind"] == Kind.BRAKE_FLAG)
+        a, b, value, limit, text = (slot[name].item() for name in ("a", "b", "value", "limit", "text"))
+        words = worded(Kind.BRAKE_FLAG, a, b, value, limit, text.decode()).text
+        assert words.startswith("the brake counts as one that does not hold: paper_rig.stroke.json is damaged; ")
+        assert "only a brake test clears this: rigctl arm on a tight rope of 280 N at least" in words
+        assert at.flagged
+        assert at.rig.command(Verb.ARM, 0.0) is Refusal.NONE
+        assert at.flagged is not clears
 
 
 def test_a_test_of_10_s_under_the_load_clears_the_flag(slipping: SlippingRig) -> None:
