@@ -14,6 +14,7 @@ from rigctl.control.snapshot import Snapshot
 
 REST_NS = round(REST_S * 1e9)
 REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
+STILL_MM = 0.02  # of stretch: the swing of a payload on air bearings falls and rises again by 0.01 mm
 _SMOOTH_S = 0.05  # of the cell's noise
 CELL_DOUBTED = frozenset(
     {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL,
@@ -35,6 +36,7 @@ class LoadRest:
 
     def __init__(self, settings: RigSettings) -> None:
         self._rest_n = REST_MM * settings.plant.stiffness_n_mm
+        self._still_n = STILL_MM * settings.plant.stiffness_n_mm
         self._slack_n = settings.tension.slack_n
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = settings.loop.period_ns * 1e-9 / _SMOOTH_S
@@ -54,11 +56,11 @@ class LoadRest:
         self.tension_ns = self._tension_at_rest_ns(snapshot)
         by_tension = self.tension_seen and not self.slack
         by_stroke = fault not in STROKE_DOUBTED and snapshot.drive_age_ns <= self._stale_ns
-        tension_moves = by_tension and self.tension_ns < REST_NS
+        tension_moves = by_tension and (self.tension_ns < REST_NS or abs(snapshot.sinks_n) > self._still_n)
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN
-        elif tension_moves or stroke_moves or snapshot.sink_mm_s or (by_tension and snapshot.sinks_n):
+        elif tension_moves or stroke_moves or snapshot.sink_mm_s:
             self.shown = LoadAtRest.MOVES
         elif by_tension and by_stroke:
             self.shown = LoadAtRest.BOTH
