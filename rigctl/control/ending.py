@@ -35,16 +35,13 @@ class EndStep(IntEnum):
     LATE = 6  # the rope is not slack in time
 
 
-_DELAYS = frozenset({EndStep.WAITS, EndStep.LOWERS})
-
-
 def limit_s(settings: RigSettings) -> float:
     """Longest time in s from the request until the loop ends."""
     return max(LIMIT_S, _ROOM * (WAITS_NS * 1e-9 + longest_lowering_s(settings)))
 
 
 class Ending:
-    """``step``: None before a request, and where no load delays the end.
+    """``step``: None before a request, and where no load delays the end; ``delayed``: the loop goes on, for the load.
 
     ``left_s``: time until the motor lowers the load, 0 while it does, NaN where nothing delays an end.
     """
@@ -52,14 +49,10 @@ class Ending:
     def __init__(self, settings: RigSettings) -> None:
         self._limit_ns = round(limit_s(settings) * 1e9)
         self.step: EndStep | None = None
+        self.delayed = False
         self.left_s = math.nan
         self.since_ns = self._until_ns = 0
         self._repeats = 0
-
-    @property
-    def delayed(self) -> bool:
-        """The loop goes on, for the load."""
-        return self.step in _DELAYS
 
     @property
     def due(self) -> bool:
@@ -94,4 +87,5 @@ class Ending:
             if before is EndStep.LOWERS:
                 self._until_ns = t_ns + WAITS_NS
             self.step = EndStep.WAITS
+        self.delayed = self.step in (EndStep.WAITS, EndStep.LOWERS)
         self.left_s = math.nan if not self.delayed else 0.0 if lowers else max(0, self._until_ns - t_ns) * 1e-9

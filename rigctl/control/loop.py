@@ -375,10 +375,11 @@ class Loop:
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine, observer = self._logbook, self.machine, self.observer
         arming = machine.pending is not None or machine.disarming or self.readback.reading_all
+        carries = (self.brake.fails or arming or machine.carry_until_ns > 0) and self._carries
         logbook.record(
             t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
-            arming=arming, stroke_known=self.homed.known, carries=self._carries, end_s=self._ending.left_s,
+            arming=arming, stroke_known=self.homed.known, carries=carries, end_s=self._ending.left_s,
             slipped_n=self.brake.slipped_n, move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
         if self.learning is not None:
@@ -590,8 +591,10 @@ class Loop:
     def _carries(self) -> bool:
         """The motor has a load that would sink without it, by CARRY or LOWER or on a brake known not to hold."""
         machine = self.machine
-        if machine.carries or not (self.brake.fails and machine.drive_wanted) or machine.mode is Mode.FAULT:
-            return machine.carries
+        if machine.carries:
+            return True
+        if not (self.brake.fails and machine.drive_wanted) or machine.mode is Mode.FAULT:
+            return False
         return machine.mode is Mode.RELEASING or not self.observer.slack
 
     def _check_signs(self, now_ns: int) -> None:
