@@ -32,7 +32,7 @@ _LARGEST_BYTES = 4096
 
 @built
 @dataclass(frozen=True)
-class TakenOver:
+class KeptValues:
     """What a loop takes over from the one before it."""
 
     stroke: LastStroke
@@ -58,13 +58,13 @@ class _StrokeFile(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
         return self.stroke_mm is None or abs(self.stroke_mm) <= _LARGEST_MM
 
 
-def read(settings: RigSettings) -> TakenOver:
+def read(settings: RigSettings) -> KeptValues:
     """The file's content; a damaged file gives the reason why stroke and brake are unknown."""
     path = settings.last_stroke
     try:
         found: _StrokeFile = input_file.decoded(input_file.read(path, largest=_LARGEST_BYTES, links=True), _StrokeFile)
     except FileNotFoundError:
-        return TakenOver(LastStroke(), KeptBrake())
+        return KeptValues(LastStroke(), KeptBrake())
     except OSError as error:
         return _unknown(f"{path.name} cannot be read: {error.strerror}")
     except msgspec.MsgspecError:
@@ -74,14 +74,14 @@ def read(settings: RigSettings) -> TakenOver:
     if not found.is_credible:
         return _unknown(f"{path.name} is damaged")
     stroke = LastStroke(found.stroke_mm, "" if found.stroke_mm is not None else f"{path.name} has no stroke")
-    return TakenOver(stroke, KeptBrake(found.brake_fails, found.slipped_n))
+    return KeptValues(stroke, KeptBrake(found.brake_fails, found.slipped_n))
 
 
-def _unknown(why: str) -> TakenOver:
-    return TakenOver(LastStroke(None, why), KeptBrake(fails=True, why=why))
+def _unknown(why: str) -> KeptValues:
+    return KeptValues(LastStroke(None, why), KeptBrake(fails=True, why=why))
 
 
-def write(settings: RigSettings, kept: TakenOver, wall_ns: int, *, sync: bool = True) -> None:
+def write(settings: RigSettings, kept: KeptValues, wall_ns: int, *, sync: bool = True) -> None:
     """Replace the file. ``sync``: wait until it is on the disk; without it a power cut may leave an older file.
 
     Raises:
@@ -119,18 +119,18 @@ def differ(one: KeptBrake, other: KeptBrake) -> bool:
     return abs((one.slipped_n or 0.0) - (other.slipped_n or 0.0)) >= KEPT_N
 
 
-def shown_by(settings: RigSettings, record: Any) -> TakenOver:
+def shown_by(settings: RigSettings, record: Any) -> KeptValues:
     """What the newest record of a run shows; the file, for a stroke that it does not, and where there is no record."""
     stroke_mm = of_record(record)
     if stroke_mm is not None:
-        return TakenOver(LastStroke(stroke_mm), brake_of(record))
+        return KeptValues(LastStroke(stroke_mm), brake_of(record))
     kept = read(settings)
-    return kept if record is None else TakenOver(kept.stroke, brake_of(record))
+    return kept if record is None else KeptValues(kept.stroke, brake_of(record))
 
 
-def in_force(runtime: Runtime) -> TakenOver:
+def in_force(runtime: Runtime) -> KeptValues:
     """What the supervisor has read."""
     try:
-        return msgspec.convert(runtime.read_json(IN_FORCE), TakenOver)
+        return msgspec.convert(runtime.read_json(IN_FORCE), KeptValues)
     except (OSError, msgspec.MsgspecError):
         return _unknown(f"{IN_FORCE} cannot be read")

@@ -58,7 +58,7 @@ _NOW_NS = 1_800_000_000 * 10**9
 _TEXTS = (b"", b"\x00" * 4096, b"[" * 100_000, b'{"a":' * 100_000, b"9" * 5000, b"1e999", b"\xff\xfe", b"\xed\xa0\x80",
           b"null", b"true", b"[]", b'"x"', b"{}", b"\n", b"-1", b"99999999999999999999")  # fmt: skip
 GAINS = {"k_tension": 0.5, "k_speed": 0.1, "k_integral": 1.0}
-KEPT = last_stroke.TakenOver(LastStroke(52.0), KeptBrake(fails=True, slipped_n=300.0))
+KEPT = last_stroke.KeptValues(LastStroke(52.0), KeptBrake(fails=True, slipped_n=300.0))
 
 
 @dataclass(frozen=True)

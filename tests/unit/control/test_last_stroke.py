@@ -15,24 +15,24 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import TakenOver
+from rigctl.control.last_stroke import KeptValues
 from rigctl.ipc.record import RECORD, Flag
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.durable import Disk
 from tests.builders.paths import ROOT
 
 WALL_NS = 1_800_000_000_000_000_000
-NOTHING = TakenOver(LastStroke(), KeptBrake())
+NOTHING = KeptValues(LastStroke(), KeptBrake())
 HOLDS, FAILS = KeptBrake(), KeptBrake(fails=True, slipped_n=300.0)
 
 
-def kept(stroke_mm: float | None, brake: KeptBrake = HOLDS) -> TakenOver:
-    return TakenOver(LastStroke(stroke_mm), brake)
+def kept(stroke_mm: float | None, brake: KeptBrake = HOLDS) -> KeptValues:
+    return KeptValues(LastStroke(stroke_mm), brake)
 
 
-def unknown(why: str) -> TakenOver:
+def unknown(why: str) -> KeptValues:
     """The stroke has to be confirmed, and the brake tested."""
-    return TakenOver(LastStroke(None, why), KeptBrake(fails=True, why=why))
+    return KeptValues(LastStroke(None, why), KeptBrake(fails=True, why=why))
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_it_stands_beside_the_ledger_and_says_what_was_written(
 
 def test_a_flag_is_kept_without_a_stroke_and_the_stroke_is_then_confirmed(settings: RigSettings) -> None:
     last_stroke.write(settings, kept(None, FAILS), WALL_NS)
-    assert last_stroke.read(settings) == TakenOver(LastStroke(None, "paper_rig.stroke.json has no stroke"), FAILS)
+    assert last_stroke.read(settings) == KeptValues(LastStroke(None, "paper_rig.stroke.json has no stroke"), FAILS)
 
 
 def test_the_file_of_a_version_without_the_flag_is_read_and_written_as_long_as_it_is_not_set(

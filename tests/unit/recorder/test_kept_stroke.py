@@ -11,7 +11,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
 from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import TakenOver
+from rigctl.control.last_stroke import KeptValues
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD, Flag
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
@@ -39,7 +39,7 @@ class Watched:
 
     def at(
         self, t_ns: int, stroke_mm: float, brake: KeptBrake = HOLDS, *, mode: Mode = Mode.HOLD, known: bool = True
-    ) -> TakenOver:
+    ) -> KeptValues:
         """A record; what the file has after the recorder has seen it."""
         flags = (Flag.BRAKE_FAILS if brake.fails else 0) | (0 if known else Flag.STROKE_UNCONFIRMED)
         load_n = math.nan if brake.slipped_n is None else brake.slipped_n
@@ -62,12 +62,12 @@ def kept(runtime: Runtime, settings: RigSettings) -> Watched:
 def test_a_flag_is_on_the_disk_at_once_while_the_stroke_waits_for_its_second(
     kept: Watched, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert kept.at(1 * S, 50.0) == TakenOver(LastStroke(50.0), HOLDS)
-    assert kept.at(1 * S + 50 * MS, 51.0) == TakenOver(LastStroke(50.0), HOLDS)
+    assert kept.at(1 * S, 50.0) == KeptValues(LastStroke(50.0), HOLDS)
+    assert kept.at(1 * S + 50 * MS, 51.0) == KeptValues(LastStroke(50.0), HOLDS)
     disk = Disk(monkeypatch)
-    assert kept.at(1 * S + 100 * MS, 51.1, FAILS, mode=Mode.COMPENSATING) == TakenOver(LastStroke(51.1), FAILS)
+    assert kept.at(1 * S + 100 * MS, 51.1, FAILS, mode=Mode.COMPENSATING) == KeptValues(LastStroke(51.1), FAILS)
     assert disk.replaced(kept.settings.last_stroke)
-    assert kept.at(1 * S + 150 * MS, 51.1, HOLDS, mode=Mode.COMPENSATING) == TakenOver(LastStroke(51.1), HOLDS)
+    assert kept.at(1 * S + 150 * MS, 51.1, HOLDS, mode=Mode.COMPENSATING) == KeptValues(LastStroke(51.1), HOLDS)
     assert disk.replaced(kept.settings.last_stroke)
 
 
@@ -79,8 +79,8 @@ def test_a_load_that_is_found_later_is_kept_with_the_flag(kept: Watched) -> None
 
 def test_a_flag_without_a_confirmed_stroke_leaves_the_stroke_as_it_was(kept: Watched) -> None:
     kept.at(1 * S, 50.0)
-    assert kept.at(2 * S, 9.0, FAILS, known=False) == TakenOver(LastStroke(50.0), FAILS)
-    assert kept.at(4 * S, 48.0, FAILS) == TakenOver(LastStroke(48.0), FAILS)
+    assert kept.at(2 * S, 9.0, FAILS, known=False) == KeptValues(LastStroke(50.0), FAILS)
+    assert kept.at(4 * S, 48.0, FAILS) == KeptValues(LastStroke(48.0), FAILS)
 
 
 def test_a_damaged_file_stays_until_stroke_or_flag_are_known(kept: Watched) -> None:
@@ -88,7 +88,7 @@ def test_a_damaged_file_stays_until_stroke_or_flag_are_known(kept: Watched) -> N
     kept.settings.last_stroke.write_bytes(b"{")
     kept.anew()
     assert kept.at(2 * S, 9.0, KeptBrake(fails=True), known=False).stroke.why == "paper_rig.stroke.json is damaged"
-    assert kept.at(4 * S, 9.0, KeptBrake(fails=True)) == TakenOver(LastStroke(9.0), KeptBrake(fails=True))
+    assert kept.at(4 * S, 9.0, KeptBrake(fails=True)) == KeptValues(LastStroke(9.0), KeptBrake(fails=True))
 
 
 def test_the_next_recorder_writes_what_the_one_before_has_not(kept: Watched) -> None:

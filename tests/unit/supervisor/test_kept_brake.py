@@ -12,7 +12,7 @@ from rigctl.config import rig_file as config
 from rigctl.control import last_stroke
 from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import TakenOver
+from rigctl.control.last_stroke import KeptValues
 from rigctl.ipc.record import RECORD, Flag
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.supervisor.daemon import Supervisor
@@ -40,7 +40,7 @@ class Bench:
         self.runtime.records.writer().write(*RECORD.values(**(zero | {"slipped_n": float("nan")} | values)))
         return self.runtime.records.reader().latest()
 
-    def handed_over(self, newest: Any) -> TakenOver:
+    def handed_over(self, newest: Any) -> KeptValues:
         self.supervisor._put_last_stroke(newest)
         return last_stroke.in_force(self.runtime)
 
@@ -51,12 +51,12 @@ def bench(tmp_path: pathlib.Path) -> Bench:
 
 
 def test_the_next_loop_gets_the_flag_of_the_ring_and_the_first_one_that_of_the_file(bench: Bench) -> None:
-    assert bench.handed_over(None) == TakenOver(LastStroke(), KeptBrake())
+    assert bench.handed_over(None) == KeptValues(LastStroke(), KeptBrake())
     slipped = bench.record(stroke_mm=48.0, flags=Flag.BRAKE_FAILS, slipped_n=300.0)
-    assert bench.handed_over(slipped) == TakenOver(LastStroke(48.0), FAILS), "no recorder has written it"
-    last_stroke.write(bench.settings, TakenOver(LastStroke(48.0), FAILS), 0)
-    assert bench.handed_over(bench.record(stroke_mm=48.0)) == TakenOver(LastStroke(48.0), KeptBrake())
-    assert bench.handed_over(None) == TakenOver(LastStroke(48.0), FAILS)
+    assert bench.handed_over(slipped) == KeptValues(LastStroke(48.0), FAILS), "no recorder has written it"
+    last_stroke.write(bench.settings, KeptValues(LastStroke(48.0), FAILS), 0)
+    assert bench.handed_over(bench.record(stroke_mm=48.0)) == KeptValues(LastStroke(48.0), KeptBrake())
+    assert bench.handed_over(None) == KeptValues(LastStroke(48.0), FAILS)
     assert bench.said == []
 
 
@@ -86,15 +86,15 @@ def test_the_flag_is_on_the_disk_without_a_recorder(bench: Bench, monkeypatch: p
     bench.supervisor._keep_brake(bench.record(stroke_mm=48.0))
     assert not bench.settings.last_stroke.exists(), "the recorder's alone while the flag is as it was"
     bench.supervisor._keep_brake(bench.record(stroke_mm=48.0, flags=Flag.BRAKE_FAILS, slipped_n=300.0))
-    assert last_stroke.read(bench.settings) == TakenOver(LastStroke(48.0), FAILS)
+    assert last_stroke.read(bench.settings) == KeptValues(LastStroke(48.0), FAILS)
     assert disk.replaced(bench.settings.last_stroke)
     bench.supervisor._keep_brake(bench.record(stroke_mm=48.0))
-    assert last_stroke.read(bench.settings) == TakenOver(LastStroke(48.0), KeptBrake())
+    assert last_stroke.read(bench.settings) == KeptValues(LastStroke(48.0), KeptBrake())
 
 
 def test_a_flag_that_cannot_be_kept_is_one_line_that_says_what_to_do(bench: Bench) -> None:
     slipped = bench.record(flags=Flag.BRAKE_FAILS)
-    last_stroke.write(bench.settings, TakenOver(LastStroke(48.0), KeptBrake()), 0)
+    last_stroke.write(bench.settings, KeptValues(LastStroke(48.0), KeptBrake()), 0)
     bench.settings.last_stroke.with_name("paper_rig.stroke.json.new").mkdir()
     for _ in range(3):
         bench.supervisor._keep_brake(slipped)
