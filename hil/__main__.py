@@ -256,6 +256,12 @@ def _faults(
     against: Annotated[
         pathlib.Path | None, typer.Option(help="of another commit: what differs from its --hash")
     ] = None,
+    ways_out: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            metavar="FILE", help="take the steps displayed at each distinct end; keep them here, go on after a stop"
+        ),
+    ] = None,
 ) -> None:
     """Play the fault catalogue: every fault in every mode, what happens against what has to happen."""
     from hil.cli import draw as draws
@@ -268,6 +274,10 @@ def _faults(
         from hil.cli.faults_hash import run
 
         raise typer.Exit(run(file, hash_, against))
+    if ways_out is not None:
+        from hil.cli.faults_ways_out import run as lead_out
+
+        raise typer.Exit(lead_out(file, ways_out, only or [], mode or []))
     if replay is not None:
         raise typer.Exit(draws.replay(file, replay, json))
     if diagnosis is not None and draw:

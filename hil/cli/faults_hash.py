@@ -44,7 +44,7 @@ def run(rig_file: pathlib.Path, file: pathlib.Path, against: pathlib.Path | None
     simulated_rig(rig_file)
     check_outputs({"--hash": file}, [rig_file, *([against] if against is not None else [])])
     other = None if against is None else _other(against)
-    kept = RowsFile(file, {"digests": 1, "source": _source(rig_file), "computer": _computer()})
+    kept = RowsFile(file, {"digests": 1, "source": source_of(rig_file), "computer": _computer()})
     rigs = played_rows.rigs(rig_file)
     rows = played_rows.default(rigs)
     with progress("digests", len(rows)) as advance:
@@ -85,7 +85,7 @@ def _names(row: MovedRow) -> str:
     return ", ".join(row.names[:_NAMES_SHOWN]) + more
 
 
-def _source(rig_file: pathlib.Path) -> str:
+def source_of(rig_file: pathlib.Path) -> str:
     """Digest of the program and of the rig files: rows of another source are not gone on with."""
     found = hashlib.sha256()
     for folder in (*map(_folder, (rigctl, hil)), rig_file.parent):

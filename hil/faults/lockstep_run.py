@@ -7,14 +7,14 @@ import functools
 import math
 import weakref
 from collections import OrderedDict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hil.branching import BranchPoint
+from hil.branching import BranchPoint, Found
 from hil.faults import arming_phases, stand
 from hil.faults.expected import Around, InjectedFault, Reaction
 from hil.faults.first_sign import cut_at_first_sign
@@ -142,6 +142,11 @@ class Bench:
         """Play a row, and cut the motor's power at the first tick that shows the fault."""
         return self._play(fault.around, mode, self._seconds(fault), fault.from_start, fault, cuts=True)
 
+    def branch(self, fault: InjectedFault, mode: Mode, go_on: Callable[[Stand], Found]) -> Found:
+        """What ``go_on`` finds from the start of a row on, where its fault is not in yet; in a process of its own."""
+        prepared = self._prepare(start_of(fault.around, mode, fault.from_start))
+        return prepared.branch_point.branch(lambda: go_on(Stand(prepared.rig, _seed(fault, mode))))
+
     def _seconds(self, fault: InjectedFault) -> float:
         return fault.seconds + min(fault.after_s, self._most_after_s)
 
@@ -153,7 +158,7 @@ class Bench:
         command: Verb | None = None, cuts: bool = False,
     ) -> Run:  # fmt: skip
         prepared = self._prepare(start_of(around, mode, from_start))
-        seed = f"{SEED}:{fault.id if fault else ''}:{mode.name}"
+        seed = _seed(fault, mode)
         return prepared.branch_point.branch(
             lambda: _branch(prepared, around, seconds, from_start, fault, seed, command=command, cuts=cuts)
         )
@@ -183,6 +188,10 @@ class Bench:
         return prepared
 
 
+def _seed(fault: InjectedFault | None, mode: Mode) -> str:
+    return f"{SEED}:{fault.id if fault else ''}:{mode.name}"
+
+
 def _close(prepared: OrderedDict[Start, tuple[_Prepared, contextlib.ExitStack]]) -> None:
     for _, opened in prepared.values():
         opened.close()
@@ -210,7 +219,7 @@ def _branch(
     step: Step | None = None
     if from_start:
         step = fault.inject(subject) if fault else None
-        _to_tensioning(rig)
+        to_tensioning(rig)
         before, lead = rig.run(1.0 / rig.settings.loop.rate_hz)[-1], _lead(rig)
     rig.events.read()
     origin_ns = rig.clock.now()
@@ -255,7 +264,8 @@ def kill(rig: Lockstep) -> None:
         SimulatedClock.next_tick(rig.clock)
 
 
-def _to_tensioning(rig: Lockstep) -> None:
+def to_tensioning(rig: Lockstep) -> None:
+    """Arm and tension a rig whose fault has been there since power-on."""
     for verb in (Verb.ARM, Verb.TENSION):
         if rig.command(verb) is not Refusal.NONE:
             return  # a refusal is a result

@@ -56,7 +56,7 @@ class StandingFault:
         self.id = fault.id
         self._since_ns = now_ns
         self._until_ns = None if for_s is None else now_ns + round(for_s * 1e9)
-        self._undo: list[Callable[[], None]] | None = _restoring(rig)
+        self._undo: list[Callable[[], None]] | None = restoring(rig)
         if fault.around.motion is not None:
             rig.rig.plant.start_motion(fault.around.motion(), rig.rig.plant.t_ns)
         try:
@@ -84,7 +84,7 @@ class StandingFault:
             action()
 
 
-def _restoring(rig: FaultyRig) -> list[Callable[[], None]]:
+def restoring(rig: FaultyRig) -> list[Callable[[], None]]:
     """What puts back everything that injectors of the catalogue change."""
     simulated, undo = rig.rig, list[Callable[[], None]]()
 

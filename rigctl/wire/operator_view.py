@@ -11,12 +11,17 @@ from rigctl.config.quantity import number
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
+from rigctl.wire.instructions import Hands, HandsAt, Instruction
 from rigctl.wire.possible_commands import possible
 from rigctl.wire.state_words import drive, ending, held, mode
 from rigctl.wire.trust import doubts, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
 _HALL = "Keep out of the hall."
+_START = Instruction(
+    "At the rig's computer: rigctl doctor, then start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START
+)
+_SUPPORTED = (HandsAt.PAYLOAD,)
 
 
 @dataclass(frozen=True)
@@ -31,14 +36,6 @@ class FaultCause:
     blocks_reset: bool
     remedy: str
     stands: bool = True
-
-
-@dataclass(frozen=True)
-class Instruction:
-    """Something to do next: a thing in the hall, or the command whose button is ``verb``."""
-
-    text: str
-    verb: str = ""
 
 
 @dataclass(frozen=True)
@@ -95,10 +92,7 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
     """
     if state.get("mode") is None or not state.get("loop_alive"):
         moves = _IF_IT_MOVES[BRAKE_FAILS in state.get("flag_names", [])]
-        steps = (
-            Instruction(_HALL), Instruction(f"If the load moves: {moves}."),
-            Instruction("At the rig's computer: rigctl doctor, then start the daemon anew."),
-        )  # fmt: skip
+        steps = Instruction(_HALL), Instruction(f"If the load moves: {moves}."), _START
         return OperatorView((), "not known: the loop writes no records", "", steps, KEEP_OUT,
                             "what the rig does is not known", (mode(state),), "the loop writes no records")  # fmt: skip
     causes, flags = _causes(state, alarms), state.get("flag_names", [])
@@ -210,7 +204,8 @@ def _steps(
     """What to do, in order: the first step is safe, and each is a thing in the hall or a button that is there."""
     if ending(state):
         lower = (Instruction("LOWER has the motor lower the load now.", "lower"),) if not verbs["lower"] else ()
-        support = Instruction("Support the payload from below, or wait until the motor has lowered it.")
+        text = "Support the payload from below, or wait until the motor has lowered it."
+        support = Instruction(text, places=_SUPPORTED, hands=Hands.SUPPORT)
         return Instruction(_HALL), support, *lower
     if state.get("fault"):
         return _after_fault(state, causes, verbs, entry, lock_out)
@@ -227,9 +222,14 @@ def _steps(
         return (Instruction("See that the hall is empty."), *barred, *clears, Instruction(ready, "arm"))
     if mode_name == "HOLD" and BRAKE_FAILS in state.get("flag_names", []):
         test = "Support the payload from below; rigctl brake-test shows whether the brake holds."
-        return Instruction(_HALL), Instruction(test), Instruction("RELEASE lowers the load.", "release")
+        slack, off = (
+            Instruction("RELEASE lowers the load.", "release"),
+            Instruction("DISARM, once the rope is slack.", "disarm"),
+        )
+        return Instruction(_HALL), Instruction(test, places=_SUPPORTED), slack, off
     if mode_name == "HOLD":
-        return Instruction("See that the hall is empty."), Instruction("TENSION, or RELEASE, or DISARM.", "tension")
+        out = Instruction("RELEASE lowers the load, DISARM leaves it to the brake.", "disarm")
+        return Instruction("See that the hall is empty."), Instruction("TENSION goes on.", "tension"), out
     last = (Instruction("RELEASE ends the run.", "release"),) if not verbs["release"] else ()
     return Instruction(_HALL), Instruction("HOLD stops the stroke at any time.", "hold"), *last
 
@@ -240,30 +240,38 @@ def _after_fault(
     steps = []
     culprit = state.get("culprit")
     culprit = culprit if isinstance(culprit, dict) else {}
+    parts = tuple(map(str, culprit.get("parts") or ())) or (HandsAt.RIG,)
     if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
         steps.append(_on_brake_that_fails(state, verbs))
     elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
-        steps.append(
-            Instruction("Press the emergency stop and secure the load: nothing shows that the drive has no power.")
-        )
+        unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
+        steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
     elif culprit.get("first"):
-        steps.append(Instruction(_sentence(str(culprit["first"]))))
+        steps.append(Instruction(_sentence(str(culprit["first"])), places=parts, hands=Hands.MEND))
     name = lock_out or "the drive"
     if not steps and "drive" in doubts(state):
         steps.append(Instruction(f"Keep out. To go in: emergency stop, lock out {name}."))
     elif not steps:
         steps.append(Instruction(_HALL if entry == KEEP_OUT else f"Before walking in, lock out {name}."))
     if culprit.get("question"):
-        steps.append(Instruction(_sentence(str(culprit["question"]))))
+        steps.append(Instruction(_sentence(str(culprit["question"])), places=parts))
     root = next((cause for cause in causes if cause.stands and cause.blocks_reset), causes[0])
     if root.remedy and not culprit.get("first"):  # the remedy of a symptom leads to the wrong part
-        steps.append(Instruction(_sentence(_RESET_SAID.sub("", root.remedy).rstrip("."))))
+        steps.append(
+            Instruction(_sentence(_RESET_SAID.sub("", root.remedy).rstrip(".")), places=parts, hands=Hands.MEND)
+        )
     slips = any(cause.fault in _SLIPPING for cause in causes)
     if slips and not verbs["lower"]:
         steps.append(Instruction("LOWER has the motor lower the load.", "lower"))
     if entry == LOCK_OUT_FIRST:
         steps.append(Instruction("See that the hall is empty; take the lock-out off."))
-    return *steps, Instruction(_reset(state, causes), "reset")
+    if any(cause.stands and cause.fault == Fault.STROKE_JUMPED.name for cause in causes):
+        steps.append(
+            Instruction("Give the stroke measured at the cylinder: rigctl confirm-stroke MM.", "confirm-stroke")
+        )
+    if any(cause.stands and cause.fault == Fault.E_STOP.name for cause in causes):
+        steps.append(Instruction("Release the emergency stop.", places=(HandsAt.E_STOP,), hands=Hands.RELEASE))
+    return *steps, *_reset(state, causes)
 
 
 def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> Instruction:
@@ -272,27 +280,32 @@ def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> Instru
         return Instruction("The brake does not hold the load: CARRY has the motor hold it, LOWER lowers it.", "carry")
     slack_s = state.get("slack_s")
     when = f"in about {slack_s:.0f} s" if isinstance(slack_s, int | float) else "at a time that is not known"
-    return Instruction(
-        f"Support the payload from below: the brake does not hold it ({verbs['carry']}), and the rope is slack {when}."
-    )
+    why = f"the brake does not hold it ({verbs['carry']}), and the rope is slack {when}"
+    return Instruction(f"Support the payload from below: {why}.", places=_SUPPORTED, hands=Hands.SUPPORT)
 
 
-def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> str:
-    """The reset as a step, and when it is one."""
+def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> tuple[Instruction, ...]:
+    """The reset, when it is accepted, and what is left where it is not."""
+    words = "RESET."
     blocking = list(dict.fromkeys(cause.fault for cause in causes if cause.stands and cause.blocks_reset))
     if blocking:
         silent = any(Trait.DEVICE_SILENT in Fault[name].traits for name in blocking if name in Fault.__members__)
         gone = (
             f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {len(blocking) - 1} more are gone"
         )
-        return f"RESET, once {gone}{'; else start the daemon anew' if silent else ''}."
+        anew = (
+            (Instruction("Else start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START),)
+            if silent
+            else ()
+        )
+        return Instruction(f"RESET, once {gone}.", "reset"), *anew
     if state["mode"] == "RELEASING":
-        return "RESET, once the rope is slack."
-    if "stopping" in state.get("flag_names", []):
-        return "RESET, once the drive has stopped."
-    if any(cause.stands for cause in causes):
-        return "RESET; the fault may trip again."
-    return "RESET."
+        words = "RESET, once the rope is slack."
+    elif "stopping" in state.get("flag_names", []):
+        words = "RESET, once the drive has stopped."
+    elif any(cause.stands for cause in causes):
+        words = "RESET; the fault may trip again."
+    return (Instruction(words, "reset"),)
 
 
 def _sentence(words: str) -> str:

@@ -189,7 +189,7 @@ def test_a_file_is_written_compared_and_gone_on_with(
     monkeypatch.setattr(play, "_play", None)  # nothing is played again
     assert command.run(RIG, second, first) == 0
     rows = RowsFile(tmp_path / "third", {"digests": 1, "computer": command._computer()})
-    digests = RowsFile(second, {"digests": 1, "source": command._source(RIG), "computer": command._computer()}).get(
+    digests = RowsFile(second, {"digests": 1, "source": command.source_of(RIG), "computer": command._computer()}).get(
         ROW.key
     )
     rows.put(ROW.key, {**digests, "records": {**digests["records"], "stroke_mm": "0"}})

@@ -9,12 +9,13 @@ import pytest
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, fault_text
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.control.modes import Mode, Verb
 from rigctl.control.safety import Action
 from rigctl.wire import state_words
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
 from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST, view
+from tests.builders.page_states import catalogue
 from tests.unit.wire.test_alarms import event, over, trip
 
 STALE = {
@@ -61,7 +62,9 @@ def test_nobody_walks_in_before_a_power_off_is_confirmed(shown: str) -> None:
 def test_a_confirmed_power_off_says_by_what() -> None:
     found = view(state(Mode.FAULT, held_by="BRAKE", fault="CELL_STALE", causes=[STALE], power_off="TENSION"))
     assert found.entry == LOCK_OUT_FIRST
-    assert found.steps[-2].text == "See that the hall is empty; take the lock-out off."  # who went in comes out again
+    empty, reset, _anew = found.steps[-3:]
+    assert empty.text == "See that the hall is empty; take the lock-out off."  # who went in comes out again
+    assert reset.verb == "reset"
     assert "a tension at rest" in found.does
 
 
@@ -73,7 +76,8 @@ def test_a_cause_that_blocks_a_reset_is_named_with_value_limit_and_remedy() -> N
     assert found.text.endswith(" at the trip"), "beside a device that is 8 s old it read as an age of now"
     assert [step.text for step in found.steps] == [
         "Keep out of the hall.", Fault.CELL_STALE.remedy,
-        "RESET, once CELL_STALE is gone; else start the daemon anew.",
+        "RESET, once CELL_STALE is gone.",
+        "Else start the daemon anew.",
     ]  # fmt: skip
     assert found.does == "stroke to be held: held by the motor"
 
@@ -170,3 +174,14 @@ def test_a_drive_on_its_way_is_not_called_off(by: str, shown: str) -> None:
     found = state(Mode.DISARMED, held_by=by)
     assert state_words.drive(found) == shown
     assert view(found).does.startswith(f"the drive is {shown}; ")
+
+
+def test_every_step_is_a_command_of_the_loop_or_hands_at_a_place() -> None:
+    """So that a step can be taken by whoever gets the values alone, as `hil.ways_out` does."""
+    shown = list(catalogue())
+    assert shown
+    for one in shown:
+        for step in view(one.state).steps:
+            assert step.verb.replace("-", "_").upper() in {"", *Verb.__members__}
+            assert step.text
+            assert all(step.places)

@@ -1,0 +1,1 @@
+"""The way out of the state that each fault of the catalogue ends in."""
