@@ -253,6 +253,9 @@ def _faults(
             "--hash", help="digests of what a set of runs does, into this file; goes on with one of a stopped run"
         ),
     ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="with --hash: every row in simulated time and 200 draws, in an hour")
+    ] = False,
     against: Annotated[
         pathlib.Path | None, typer.Option(help="of another commit: what differs from its --hash")
     ] = None,
@@ -268,12 +271,8 @@ def _faults(
     from hil.cli import faults as command
 
     file = file or rig_file.shipped(PAPER)
-    if against is not None and hash_ is None:
-        raise ScenarioError(["--against: found no --hash, expected it with the file that gets the digests"])
-    if hash_ is not None:
-        from hil.cli.faults_hash import run
-
-        raise typer.Exit(run(file, hash_, against))
+    if hash_ is not None or every or against is not None:
+        raise typer.Exit(_compared(file, hash_, against, every=every))
     if ways_out is not None:
         from hil.cli.faults_ways_out import run as lead_out
 
@@ -294,6 +293,18 @@ def _faults(
         raise typer.Exit(command.run_kills(file, gateway_kills, json, gateway=True))
     else:
         raise typer.Exit(command.run(file, only or [], mode or [], json))
+
+
+def _compared(
+    file: pathlib.Path, hash_: pathlib.Path | None, against: pathlib.Path | None, *, every: bool
+) -> int:  # fmt: skip
+    """What this commit does, for the comparison with another."""
+    if hash_ is None:
+        option = "--all" if every else "--against"
+        raise ScenarioError([f"{option}: found no --hash, expected it with the file that gets the digests"])
+    from hil.cli.faults_hash import run
+
+    return run(file, hash_, against, every=every)
 
 
 @app.command("inject")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import pathlib
 import platform
-import sys
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -13,29 +13,30 @@ import numpy as np
 import hil
 import rigctl
 from hil.cli.files import check_outputs, simulated_rig
-from hil.faults.digests import comparison, play, played_rows
-from hil.faults.digests.comparison import MovedRow
+from hil.cli.two_files import conclude, listed, print_line
+from hil.faults.digests import comparison, drawn_runs, play, played_rows
+from hil.faults.digests.played_rows import PlayedRow
 from hil.scenario.errors import ScenarioError
 from hil.study import rows_file
 from hil.study.rows_file import RowsFile
 from rigctl.cli.progress import progress
 
-_NAMES_SHOWN = 6
 _SOURCES = frozenset({".py", ".yaml", ".eds", ".dbc"})
 
 
-def run(rig_file: pathlib.Path, file: pathlib.Path, against: pathlib.Path | None) -> int:
-    """Play the default set, write its digests into ``file``, and compare them with those of another file.
+def run(rig_file: pathlib.Path, file: pathlib.Path, against: pathlib.Path | None, *, every: bool = False) -> int:
+    """Play a set of runs, write their digests into ``file``, and compare them with those of another file.
 
-    Rows that ``file`` has already, of the same source, are not played again.
+    Runs that ``file`` has already, of the same source, are not played again.
 
     Args:
         rig_file: with the ``simulation`` section.
-        file: gets the digests, a line of JSON for each row.
+        file: gets the digests, a line of JSON for each run.
         against: digests of another commit, made on the same computer.
+        every: not the default set, but every row that plays in lockstep, and the draws.
 
     Returns:
-        0 when nothing is compared or all is equal, else 1.
+        0 when nothing is compared, or both have the same runs and all are equal, else 1.
 
     Raises:
         ScenarioError, ConfigError: bad input, or a rig that cannot be simulated.
@@ -46,15 +47,22 @@ def run(rig_file: pathlib.Path, file: pathlib.Path, against: pathlib.Path | None
     other = None if against is None else _other(against)
     kept = RowsFile(file, {"digests": 1, "source": source_of(rig_file), "computer": _computer()})
     rigs = played_rows.rigs(rig_file)
-    rows = played_rows.default(rigs)
-    with progress("digests", len(rows)) as advance:
-        play.play(rigs, rows, kept, advance)
-    found = {row.key: kept.get(row.key) for row in rows}
-    _print(f"{len(found)} rows, sum {comparison.sum_of(found)}")
+    rows, draws = (played_rows.every(rigs), range(drawn_runs.COUNT)) if every else (played_rows.default(rigs), ())
+    with progress("digests", len(rows) + len(draws)) as advance:
+        play.play(rigs, rows, kept, advance, draws)
+    found = {key: kept.get(key) for key in _keys(rows, draws)}
+    print_line(f"{len(found)} rows, sum {comparison.sum_of(found)}")
     for key, digests in found.items():
         for error, text in digests.get("not played", {}).items():
-            _print(f"{key}: not played: {error}: {text}")
-    return 0 if other is None else _compare(found, other)
+            print_line(f"{key}: not played: {error}: {text}")
+    if other is None:
+        return 0
+    larger = {*_keys(played_rows.every(rigs), range(drawn_runs.COUNT))}
+    return _compare(found, {key: row for key, row in other.items() if key in found or key not in larger})
+
+
+def _keys(rows: Iterable[PlayedRow], draws: Iterable[int]) -> list[str]:
+    return [*(row.key for row in rows), *map(drawn_runs.key, draws)]
 
 
 def _other(file: pathlib.Path) -> dict[str, Any]:
@@ -69,20 +77,11 @@ def _other(file: pathlib.Path) -> dict[str, Any]:
 
 
 def _compare(found: dict[str, Any], other: dict[str, Any]) -> int:
+    """Print what differs. ``other`` without the rows of the larger set that this run was not to play."""
     moved = comparison.moved(found, other)
     for row in moved:
-        _print(f"{row.key}: {_names(row)}")
-    if not moved:
-        _print("equal")
-        return 0
-    first = moved[0]
-    _print(f"{len(moved)} of {len(found)} rows differ; the first: {first.key}, {first.names[0]}")
-    return 1
-
-
-def _names(row: MovedRow) -> str:
-    more = f" and {len(row.names) - _NAMES_SHOWN} more" if len(row.names) > _NAMES_SHOWN else ""
-    return ", ".join(row.names[:_NAMES_SHOWN]) + more
+        print_line(f"{row.key}: {listed(row.names)}")
+    return conclude("row", found, other, [f"{row.key}, {row.names[0]}" for row in moved])
 
 
 def source_of(rig_file: pathlib.Path) -> str:
@@ -111,7 +110,3 @@ def _processor() -> str:
     except OSError:
         return platform.processor()
     return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "")
-
-
-def _print(text: str) -> None:
-    sys.stdout.write(text + "\n")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from hil.faults.digests import name_map
 from hil.faults.digests.streams import Digests
@@ -30,13 +30,13 @@ def sum_of(rows: Rows) -> str:
 
 
 def moved(rows: Rows, other: Rows) -> list[MovedRow]:
-    """The rows of either side that are not the same on both, in the order of the first.
+    """The rows of both sides that are not the same, in the order of the first.
 
     A name that only one side has is a difference, but for those that `hil.faults.digests.name_map` leaves out.
     """
     found = []
-    for key in dict.fromkeys((*rows, *other)):
-        here, there = _flat(rows.get(key)), _flat(other.get(key))
+    for key in (key for key in rows if key in other):
+        here, there = _flat(rows[key]), _flat(other[key])
         there = {name: digest for name, digest in there.items() if name not in name_map.REMOVED}
         names = tuple(
             name for name in dict.fromkeys((*here, *there)) if here.get(name) != there.get(name)
@@ -46,11 +46,8 @@ def moved(rows: Rows, other: Rows) -> list[MovedRow]:
     return found
 
 
-def _flat(digests: Any) -> dict[str, str]:
-    if digests is None:
-        return {"row/played": "no"}
-    named = {f"{stream}/{name}": digest for stream, names in digests.items() for name, digest in names.items()}
-    return {"row/played": "yes", **named}
+def _flat(digests: Digests) -> dict[str, str]:
+    return {f"{stream}/{name}": digest for stream, names in digests.items() for name, digest in names.items()}
 
 
 def _sum(names: Mapping[str, str]) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.branching import BranchError
-from hil.faults.digests import played_rows
+from hil.faults.digests import drawn_runs, played_rows
 from hil.faults.digests.played_rows import PlayedRow
 from hil.faults.digests.streams import Digests, digests_of
 from hil.faults.lockstep_run import Bench, start_of
@@ -18,23 +18,40 @@ from rigctl.config.settings import RigSettings
 
 SOON_AFTER_S = 1.0
 """So long after its seconds a row is watched, as in the gate."""
+Found = dict[str, Digests | dict[str, Any]]
+"""Digests by key; of a run that cannot be played, why."""
 _rigs: dict[str, RigSettings] = {}
 _benches: dict[str, Bench] = {}
 """Of this process, by the name of the rig."""
 
 
-def play(rigs: Mapping[str, RigSettings], rows: Sequence[PlayedRow], kept: RowsFile, advance: Advance) -> None:
-    """Play the rows that ``kept`` has not got yet, and keep the digests of each.
+def play(
+    rigs: Mapping[str, RigSettings],
+    rows: Sequence[PlayedRow],
+    kept: RowsFile,
+    advance: Advance,
+    draws: Sequence[int] = (),
+) -> None:
+    """Play the rows and draws that ``kept`` has not got yet, and keep the digests of each.
 
     Raises:
         ScenarioError: the design of a rig's law is refused.
     """
     missing = [row for row in rows if kept.get(row.key) is None]
-    if len(missing) < len(rows):
-        advance(len(rows) - len(missing), "")
-    ordered = sorted(missing, key=_start_of)
-    pieces = {row.key: Work(_play, (row,), row.key) for row in ordered}
-    runner.play(pieces, advance, keep=kept.put, pieces_per_worker=4, start=_start, start_arguments=(dict(rigs),))
+    undrawn = [index for index in draws if kept.get(drawn_runs.key(index)) is None]
+    if done := len(rows) + len(draws) - len(missing) - len(undrawn):
+        advance(done, "")
+    pieces = {
+        f"block {number}": Work(_play_block, (number, members), f"draws {members[0]} to {members[-1]}", len(members))
+        for number, members in drawn_runs.by_block(undrawn).items()
+    }
+    pieces |= {row.key: Work(_play, (row,), row.key) for row in sorted(missing, key=_start_of)}
+
+    def keep(_: str, found: Found) -> None:
+        for key, digests in found.items():
+            kept.put(key, digests)
+
+    runner.play(pieces, advance, keep=keep, pieces_per_worker=4, start=_start, start_arguments=(dict(rigs),))
 
 
 def _start_of(row: PlayedRow) -> str:
@@ -54,9 +71,12 @@ def _bench(name: str) -> Bench:
     return _benches[name]
 
 
-def _play(row: PlayedRow) -> Digests | dict[str, Any]:
-    """Digests of a row; of one that cannot be played, why."""
+def _play(row: PlayedRow) -> Found:
     try:
-        return digests_of(_bench(row.rig).play(played_rows.row(row.id), row.mode))
+        return {row.key: digests_of(_bench(row.rig).play(played_rows.row(row.id), row.mode))}
     except (RuntimeError, TimeoutError, BranchError) as error:
-        return {"not played": {type(error).__name__: str(error)}}
+        return {row.key: {"not played": {type(error).__name__: str(error)}}}
+
+
+def _play_block(number: int, indices: Sequence[int]) -> Found:
+    return drawn_runs.play_block(_rigs[played_rows.BASE], number, indices)

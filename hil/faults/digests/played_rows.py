@@ -1,4 +1,7 @@
-"""What is played for the digests: rows of the catalogue, a course of every command, rig files and parameter sets."""
+"""What is played for the digests: rows of the catalogue, a course of every command, rig files and parameter sets.
+
+The drawn pairs of faults are in `hil.faults.digests.drawn_runs`.
+"""
 
 from __future__ import annotations
 
@@ -263,3 +266,9 @@ def default(names: Iterable[str]) -> list[PlayedRow]:
     work = [PlayedRow(name, WORK.id, Mode.DISARMED) for name in names]
     courses = [PlayedRow(BASE, course.id, Mode.DISARMED) for course in COURSES]
     return [*courses, *work, *(PlayedRow(BASE, *one) for one in GATE)]
+
+
+def every(names: Iterable[str]) -> list[PlayedRow]:
+    """The default set, and the catalogue's other rows that play in lockstep, in all their modes."""
+    catalogue = (PlayedRow(BASE, fault.id, mode) for fault in ROWS.values() for mode in fault.modes)
+    return list(dict.fromkeys((*default(names), *catalogue)))

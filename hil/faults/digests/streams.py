@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from enum import IntEnum, IntFlag
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -53,14 +53,32 @@ _PLACE = re.compile(rb" in [\w<>]+:\d+(?=: )")
 _TRUTH = ("tension_n", "stroke_mm", "enabled", "powered")
 
 
+class HashedStreams(NamedTuple):
+    """What is hashed of a run."""
+
+    frames: npt.NDArray[Any]
+    """See `frames_array`."""
+    records: npt.NDArray[Any]
+    events: npt.NDArray[Any]
+    replies: npt.NDArray[Any]
+    truth: Mapping[str, npt.NDArray[Any]]
+    """Of the plant, by name."""
+
+
 def digests_of(run: Run) -> Digests:
     """Digests of a run whose frames were kept."""
+    truth = {name: getattr(run, name) for name in ("t_s", *_TRUTH)}
+    return digests(HashedStreams(frames_array(run.frames), run.records, run.events, run.replies, truth))
+
+
+def digests(streams: HashedStreams) -> Digests:
+    """Digests of each stream of a run."""
     found = {
-        "frames": dict(_frames(frames_array(run.frames))),
-        "records": dict(_records(run.records)),
-        "events": dict(_events(run.events)),
-        "replies": dict(_replies(run.replies)),
-        "truth": {name: _digest(_plain(getattr(run, name))) for name in ("t_s", *_TRUTH)},
+        "frames": dict(_frames(streams.frames)),
+        "records": dict(_records(streams.records)),
+        "events": dict(_events(streams.events)),
+        "replies": dict(_replies(streams.replies)),
+        "truth": {name: _digest(_plain(values)) for name, values in streams.truth.items()},
     }
     return {stream: dict(_as_compared(stream, names)) for stream, names in found.items()}
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.faults.drawn import courses
 from hil.faults.drawn.draw import BLOCK, Draw, block_of, pair_of
-from hil.faults.drawn.play import Branch, CourseRun, forked
+from hil.faults.drawn.play import Branch, CourseRun, branches
 from hil.faults.naming import NamedRow, RecordedRow, culprit, naming
 from hil.faults.parts import DRAWN
 from hil.lockstep import lockstep
@@ -45,9 +45,7 @@ def _block(settings: RigSettings, gains: Gains, course: str, draws: Sequence[Dra
     rows = []
     with lockstep(settings, gains, log=True) as rig:
         run = CourseRun(rig, courses.BY_NAME[course])
-        for draw in sorted(draws, key=lambda one: one.faults[0].at_s):
-            run.to(draw.faults[0].at_s)
-            found = forked(run, draw, _until_diagnosed)
+        for draw, found in branches(run, draws, _until_diagnosed):
             if isinstance(found, Branch):
                 raise RuntimeError(found.error)
             about = culprit(found, settings)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -50,13 +50,9 @@ def play(
 
     Each draw is a forked process, so that what came before its first fault is played once.
     """
-    course = courses.BY_NAME[course_name]
-    found: dict[int, Branch] = {}
     with lockstep(settings, gains, log=True) as rig:
-        run = CourseRun(rig, course)
-        for draw in sorted(draws, key=lambda one: one.faults[0].at_s):
-            run.to(draw.faults[0].at_s)
-            found[draw.index] = forked(run, draw, branch)
+        run = CourseRun(rig, courses.BY_NAME[course_name])
+        found: dict[int, Branch] = {draw.index: one for draw, one in branches(run, draws, branch)}
         most = max(len(branch.rows) for branch in found.values())
         while len(run.watch.rows) < most:
             run.tick()
@@ -168,6 +164,15 @@ def branch(run: CourseRun, draw: Draw) -> Branch:
     if killed_at is not None or run.t_s < end_s:
         kill(rig)
     return Branch(run.watch.array(), killed_at, trips)
+
+
+def branches(
+    run: CourseRun, draws: Sequence[Draw], play_it: Callable[[CourseRun, Draw], Any]
+) -> Iterator[tuple[Draw, Any]]:
+    """Each draw, the earliest first, with what ``play_it`` returns from a branch at its first fault; see `forked`."""
+    for draw in sorted(draws, key=lambda one: one.faults[0].at_s):
+        run.to(draw.faults[0].at_s)
+        yield draw, forked(run, draw, play_it)
 
 
 def forked(run: CourseRun, draw: Draw, play_it: Callable[[CourseRun, Draw], Any]) -> Any:

@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 
 from hil.cli import faults_hash as command
-from hil.faults.catalogue import BY_ID
-from hil.faults.digests import comparison, name_map, play, played_rows
+from hil.faults.catalogue import BY_ID, ROWS
+from hil.faults.digests import comparison, drawn_runs, name_map, play, played_rows
 from hil.faults.digests.played_rows import COURSES, GATE, WORK, PlayedRow
 from hil.faults.digests.streams import Digests, digests_of
+from hil.faults.drawn import play as drawn_play
+from hil.faults.drawn.draw import pair_of
 from hil.faults.lockstep_run import Bench, Run
 from hil.scenario.errors import ScenarioError
 from hil.study.rows_file import RowsFile
@@ -160,13 +162,48 @@ def test_the_default_set_has_every_verb_every_rig_and_the_gates_rows() -> None:
     assert len({row.key for row in rows}) == len(rows)
 
 
+def test_the_larger_set_has_every_row_of_the_catalogue_in_its_modes() -> None:
+    rows = played_rows.every([played_rows.BASE])
+    assert {(row.id, row.mode) for row in rows} >= {(fault.id, mode) for fault in ROWS.values() for mode in fault.modes}
+    assert set(played_rows.default([played_rows.BASE])) <= set(rows)
+    assert len({row.key for row in rows}) == len(rows)
+
+
+@pytest.fixture
+def short_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Draws end half a second after their first fault."""
+    monkeypatch.setattr(drawn_runs, "pair_of", lambda *drawn: replace(pair_of(*drawn), seconds=0.5))
+
+
+@pytest.mark.usefixtures("short_draws")
+def test_a_draw_has_every_stream_and_is_the_same_without_the_others_of_its_block() -> None:
+    settings = config.load(RIG)
+    found = drawn_runs.play_block(settings, 1, [8, 9])
+    assert [*found] == [drawn_runs.key(8), drawn_runs.key(9)]
+    one, other = found.values()
+    assert {"0x080", "0x184", "0x701"} <= one["frames"].keys()
+    assert {"tension_n", "mode"} <= one["records"].keys()
+    assert {"tension_n", "free_mm", "braked"} <= one["truth"].keys()
+    assert {"frames/0x184", "records/t_ns", "truth/t_ns"} <= moved(one, other)
+    assert drawn_runs.play_block(settings, 1, [9]) == {drawn_runs.key(9): other}
+
+
+def test_a_draw_that_cannot_be_played_has_its_reason_without_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise AssertionError("no such state")
+
+    monkeypatch.setattr(drawn_play, "branch", fails)
+    found = drawn_runs.play_block(config.load(RIG), 0, [0])
+    assert found == {drawn_runs.key(0): {"not played": {"AssertionError": "no such state"}}}
+
+
 def test_a_row_that_cannot_be_played_is_a_row_with_its_reason() -> None:
     play._start({played_rows.BASE: config.load(RIG)})
     play._rigs[played_rows.BASE] = config.load(RIG).model_copy(
         update={"preflight": config.load(RIG).preflight.model_copy(update={"stroke_margin_mm": 1e3})}
     )
     play._benches.clear()
-    assert play._play(ROW) == {"not played": {"RuntimeError": "ARM was refused: PREFLIGHT"}}
+    assert play._play(ROW) == {ROW.key: {"not played": {"RuntimeError": "ARM was refused: PREFLIGHT"}}}
 
 
 # -- the command ----------------------------------------------------------------------------------------------------
@@ -198,6 +235,31 @@ def test_a_file_is_written_compared_and_gone_on_with(
     assert shown[-2:] == [
         f"{ROW.key}: records/stroke_mm", f"1 of 1 rows differ; the first: {ROW.key}, records/stroke_mm"
     ]  # fmt: skip
+
+
+@pytest.mark.usefixtures("short", "short_draws")
+def test_the_larger_set_goes_on_with_a_file_and_is_compared_where_both_have_rows(
+    tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(played_rows, "every", lambda _: [ROW])
+    monkeypatch.setattr(drawn_runs, "COUNT", 2)
+    small, large = tmp_path / "small", tmp_path / "large"
+    assert command.run(RIG, small, None) == 0
+    large.write_bytes(small.read_bytes())
+    with monkeypatch.context() as patch:
+        patch.setattr(play, "_play", None)  # the row is there already
+        assert command.run(RIG, large, None, every=True) == 0
+    with monkeypatch.context() as patch:
+        patch.setattr(drawn_runs, "play_block", None)  # and now the draws are
+        assert command.run(RIG, large, small, every=True) == 1
+    draws = ", ".join(map(drawn_runs.key, range(2)))
+    assert capsys.readouterr().out.splitlines()[-2:] == [
+        f"only this file has 2 rows: {draws}", "1 row in both files: equal"
+    ]  # fmt: skip
+    assert command.run(RIG, small, large) == 0  # the draws were not to be played here
+    monkeypatch.setattr(drawn_runs, "COUNT", 0)
+    assert command.run(RIG, small, large) == 1  # and now there are none any more
+    assert "only the other file has 2 rows: draw 1 " in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
