@@ -256,8 +256,11 @@ def _faults(
     every: Annotated[
         bool, typer.Option("--all", help="with --hash: every row in simulated time and 200 draws, in an hour")
     ] = False,
+    texts: Annotated[
+        pathlib.Path | None, typer.Option(help="every text of the program, into this file, instead")
+    ] = None,
     against: Annotated[
-        pathlib.Path | None, typer.Option(help="of another commit: what differs from its --hash")
+        pathlib.Path | None, typer.Option(help="of another commit: what differs from its --hash or --texts")
     ] = None,
     ways_out: Annotated[
         pathlib.Path | None,
@@ -271,8 +274,8 @@ def _faults(
     from hil.cli import faults as command
 
     file = file or rig_file.shipped(PAPER)
-    if hash_ is not None or every or against is not None:
-        raise typer.Exit(_compared(file, hash_, against, every=every))
+    if hash_ is not None or texts is not None or every or against is not None:
+        raise typer.Exit(_compared(file, hash_, texts, against, every=every))
     if ways_out is not None:
         from hil.cli.faults_ways_out import run as lead_out
 
@@ -296,15 +299,23 @@ def _faults(
 
 
 def _compared(
-    file: pathlib.Path, hash_: pathlib.Path | None, against: pathlib.Path | None, *, every: bool
+    file: pathlib.Path, hash_: pathlib.Path | None, texts: pathlib.Path | None, against: pathlib.Path | None, *,
+    every: bool,
 ) -> int:  # fmt: skip
-    """What this commit does, for the comparison with another."""
-    if hash_ is None:
-        option = "--all" if every else "--against"
-        raise ScenarioError([f"{option}: found no --hash, expected it with the file that gets the digests"])
-    from hil.cli.faults_hash import run
+    """What this commit does or has in words, for the comparison with another."""
+    if hash_ is not None and texts is not None:
+        raise ScenarioError(["--texts: found --hash too, expected one of them"])
+    if every and hash_ is None:
+        raise ScenarioError(["--all: found no --hash, expected it with the file that gets the digests"])
+    if hash_ is not None:
+        from hil.cli.faults_hash import run
 
-    return run(file, hash_, against, every=every)
+        return run(file, hash_, against, every=every)
+    if texts is not None:
+        from hil.cli import faults_texts
+
+        return faults_texts.run(file, texts, against, app, PROGRAM)
+    raise ScenarioError(["--against: found neither --hash nor --texts, expected one with the file to compare"])
 
 
 @app.command("inject")

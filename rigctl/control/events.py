@@ -198,7 +198,6 @@ def _trip(a: int, b: int, value: float, limit: float, text: str) -> Worded:
 _ACTION_TEXT = {
     Action.LOG: "logged",
     Action.RAMP_DOWN: "ramping down",
-    Action.HOLD: "holding",
     Action.QUICK_STOP: "quick stop, then power off",
     Action.POWER_OFF: "power off commanded, the brake is to close",
     Action.SILENCE: "power off commanded by SDO, NMT stop, then silence: the drive is to stop by its own supervision",
