@@ -15,6 +15,7 @@ from rigctl.control.readback import Readback
 from rigctl.control.second_force import SecondForce
 from rigctl.devices import can_errors, codecs, dbc, emergency, sdo
 from rigctl.devices import objects as od
+from rigctl.devices.frame_kind import OWN_KIND, kind_of
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.process_data import CELL_TEMPERATURE, DRIVE_SPEED, DRIVE_STATUS, SECOND_FORCE, ProcessData, wanted
 from rigctl.ipc.correction import Correction
@@ -209,7 +210,7 @@ class Inbox:
             if message is None:
                 return
             can_id, data = message.arbitration_id, message.data
-            ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+            ours = kind_of(message) == OWN_KIND
             if frames is not None:
                 frames.write(now_ns, can_id if ours else _flagged(message), 0, message.dlc, data)
             if message.is_error_frame:

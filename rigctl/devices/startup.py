@@ -110,7 +110,7 @@ def refuse_rival(bus: StartupBus, settings: RigSettings) -> None:
                 f"{settings.can.interface}:{settings.can.channel} cannot be read: "
                 f"{bus_words(error, settings)} (is the interface up?)"
             ) from None
-        if message is not None and not message.is_error_frame and message.arbitration_id in ours:
+        if message is not None and message.arbitration_id in ours:
             raise StartupError(
                 f"another controller is active on {settings.can.channel} (saw frame 0x{message.arbitration_id:03X}); "
                 "one rig has one controller"

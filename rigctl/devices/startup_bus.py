@@ -15,6 +15,7 @@ import canopen
 from canopen.sdo import SdoClient, SdoCommunicationError
 
 from rigctl.devices import sdo
+from rigctl.devices.frame_kind import OWN_KIND, kind_of
 from rigctl.devices.objects import HEARTBEAT_BASE, NmtState
 
 _QUEUE_IS_FULL = frozenset({None, errno.ENOBUFS, errno.EAGAIN})  # None: python-can's own "Transmit buffer full"
@@ -49,17 +50,19 @@ class StartupBus:
         return self.now_ns() + round(seconds * 1e9)
 
     def receive(self, until_ns: int) -> can.Message | None:
-        """The next frame, which canopen has then seen; None: none came before ``until_ns``.
+        """The next frame of the rig's own kind, which canopen has then seen; None: none came before ``until_ns``.
+
+        canopen itself takes a frame with a 29-bit identifier for one of 11 bits with the same number.
 
         Raises:
             can.CanError: the bus cannot be read.
         """
-        left_ns = until_ns - self.now_ns()
-        message = self.bus.recv(left_ns * 1e-9) if left_ns > 0 else None
-        if message is not None:
-            for listener in self.network.listeners:
-                listener(message)
-        return message
+        while (left_ns := until_ns - self.now_ns()) > 0 and (message := self.bus.recv(left_ns * 1e-9)) is not None:
+            if kind_of(message) == OWN_KIND:
+                for listener in self.network.listeners:
+                    listener(message)
+                return message
+        return None
 
     def send(self, message: can.Message) -> None:
         """Send a frame; one that finds no room in the send queue is sent again.
@@ -105,7 +108,7 @@ class StartupBus:
         return remote
 
     def _on_heartbeat(self, can_id: int, data: bytearray, _timestamp: float) -> None:
-        if data and data[0] & 0x7F in NmtState._value2member_map_:
+        if len(data) == 1 and data[0] & 0x7F in NmtState._value2member_map_:
             self.reported[can_id - HEARTBEAT_BASE] = NmtState(data[0] & 0x7F)
 
 

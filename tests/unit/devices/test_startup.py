@@ -9,7 +9,7 @@ import can
 import pytest
 
 from hil.hub import Port
-from hil.wire import FRAME
+from hil.wire import EXTENDED_FLAG, FRAME, REMOTE_FLAG
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.settings import RigSettings
 from rigctl.devices import busload, startup
@@ -272,6 +272,62 @@ def test_another_controller_on_the_bus_ends_the_start(can_id: int) -> None:
     bus.send(can.Message(arbitration_id=can_id, is_extended_id=False))
     with pytest.raises(StartupError):
         startup.refuse_rival(StartupBus(bus, lambda: 0), SETTINGS)
+
+
+FOREIGN = {"29-bit": EXTENDED_FLAG, "remote": REMOTE_FLAG, "29-bit remote": EXTENDED_FLAG | REMOTE_FLAG}
+ABORTED = struct.Struct("<B3sI")  # an SDO abort, and the code of "object does not exist"
+
+
+@pytest.mark.parametrize("flags", FOREIGN.values(), ids=FOREIGN)
+@pytest.mark.parametrize("can_id", [od.SYNC_COB, od.HEARTBEAT_BASE + SETTINGS.can.controller_node])
+def test_a_frame_of_another_kind_with_a_controllers_number_is_no_controller(can_id: int, flags: int) -> None:
+    devices = Devices(SETTINGS)
+    with devices.bus() as bus:
+        devices.hub.attach(lambda _frame: None).send(FRAME.pack(can_id | flags, 1, b"\x05"))
+        startup.refuse_rival(StartupBus(bus, lambda: devices.t_ns), SETTINGS)
+        assert devices.t_ns - START_NS >= startup.listened_s(SETTINGS) * 1e9, "it has listened for its whole time"
+
+
+@pytest.mark.parametrize("flags", FOREIGN.values(), ids=FOREIGN)
+def test_a_frame_of_another_kind_is_no_answer(flags: int) -> None:
+    devices = Devices(SETTINGS)
+
+    def aborted_first(port: Port, frame: bytes) -> list[bytes]:
+        """Each answer has a foreign frame before it, which is an abort of the same request."""
+        can_id, _, data = FRAME.unpack(frame)
+        if port is not devices.port or can_id & ~0x7F != od.SDO_TX_BASE:
+            return [frame]
+        return [FRAME.pack(can_id | flags, 8, ABORTED.pack(0x80, data[1:4], 0x06020000)), frame]
+
+    devices.hub.tap = aborted_first
+    assert devices.bring_up() == Devices(SETTINGS).bring_up()
+
+
+@pytest.mark.parametrize("flags", FOREIGN.values(), ids=FOREIGN)
+def test_a_frame_of_another_kind_is_no_heartbeat(flags: int) -> None:
+    devices = Devices(SETTINGS)
+    heartbeat = od.HEARTBEAT_BASE + DRIVE
+
+    def of_another_kind(_port: Port, frame: bytes) -> list[bytes]:
+        can_id, size, data = FRAME.unpack(frame)
+        return [FRAME.pack(can_id | flags, size, data)] if can_id == heartbeat else [frame]
+
+    devices.hub.tap = of_another_kind
+    devices.bring_up()
+    assert "cylinder drive (node 4) has not started: no heartbeat after two commands" in devices.said
+
+
+def test_a_heartbeat_of_two_bytes_is_none_as_in_the_loop() -> None:
+    devices = Devices(SETTINGS)
+    heartbeat = od.HEARTBEAT_BASE + DRIVE
+
+    def longer(_port: Port, frame: bytes) -> list[bytes]:
+        can_id, _, data = FRAME.unpack(frame)
+        return [FRAME.pack(can_id, 2, data)] if can_id == heartbeat else [frame]
+
+    devices.hub.tap = longer
+    devices.bring_up()
+    assert "cylinder drive (node 4) has not started: no heartbeat after two commands" in devices.said
 
 
 @pytest.mark.parametrize(("node", "pdo"), [(CELL, od.CELL_TPDO), (SLOPE, od.SLOPE_TPDO), (DRIVE, od.DRIVE_TPDO)])
