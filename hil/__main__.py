@@ -25,11 +25,15 @@ with extras.refused(PROGRAM):
     from hil.serve import ServeError, serve
     from rigctl.cli import descriptors, json_file
     from rigctl.cli.json_file import JsonFile
+    from rigctl.cli.options import SEED, number_option
     from rigctl.config import rig_file
+    from rigctl.config.typed_number import TypedNumber
     from rigctl.ipc import standard_output
 
 _INTERRUPTED = 130
 """Exit code that typer gives Ctrl-C."""
+
+_WHOLE, _COUNT = TypedNumber(whole=True), TypedNumber(least=0, whole=True)
 
 PaperOr = Annotated[pathlib.Path | None, typer.Argument(help="rig file; if not given, the paper's, as it is shipped")]
 
@@ -100,10 +104,24 @@ def _compare(
         bool, typer.Option("--bound", help="our law against the least error that any linear law reaches")
     ] = False,
     designs: Annotated[
-        int | None, typer.Option(min=1, help="of the studies of tuned laws: designs per parameter and start")
+        int | None,
+        number_option(
+            TypedNumber("designs", 1, whole=True),
+            "--designs",
+            metavar="N",
+            help="of the studies of tuned laws: designs per parameter and start",
+        ),
     ] = None,
-    random: Annotated[int, typer.Option(min=0, help="this many random rigs instead, identified and tuned for")] = 0,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, help="of the random rigs")] = 1,
+    random: Annotated[
+        int,
+        number_option(
+            TypedNumber("rigs", 0, whole=True),
+            "--random",
+            metavar="N",
+            help="this many random rigs instead, identified and tuned for",
+        ),
+    ] = 0,
+    seed: Annotated[int, number_option(SEED, "--seed", metavar="N", help="of the random rigs")] = 1,
     rows: Annotated[
         pathlib.Path | None, typer.Option(help="with the studies of tuned laws: keep each result here, and go on")
     ] = None,
@@ -133,7 +151,12 @@ def _compare(
 @app.command("cell")
 def _cell(
     file: PaperOr = None,
-    cells: Annotated[int, typer.Option(min=1, max=10_000, help="number of cells drawn")] = 200,
+    cells: Annotated[
+        int,
+        number_option(
+            TypedNumber("cells", 1, 10_000, whole=True), "--cells", metavar="N", help="number of cells drawn"
+        ),
+    ] = 200,
     json: JsonFile = None,
 ) -> None:
     """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
@@ -158,8 +181,16 @@ def _moves(
 @app.command("roll-back")
 def _roll_back(
     file: PaperOr = None,
-    draw: Annotated[int, typer.Option(min=1, max=1000, help="errors of the preload drawn for each load")] = 1,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, help="of those errors")] = 1,
+    draw: Annotated[
+        int,
+        number_option(
+            TypedNumber("errors", 1, 1000, whole=True),
+            "--draw",
+            metavar="N",
+            help="errors of the preload drawn for each load",
+        ),
+    ] = 1,
+    seed: Annotated[int, number_option(SEED, "--seed", metavar="N", help="of those errors")] = 1,
     json: JsonFile = None,
 ) -> None:
     """Let the motor take loads of 50 to 350 N from the brake, without a preload and with one of a drawn error."""
@@ -189,21 +220,47 @@ class NewKind(Enum):
 def _new(
     _kind: Annotated[NewKind, typer.Argument(metavar="rig", help="what to make")],
     name: Annotated[str, typer.Argument(help="of the rig: a to z, 0 to 9 and _, a letter first")],
-    payload: Annotated[float | None, typer.Option(metavar="KG", help="suspended mass")] = None,
-    spring: Annotated[float | None, typer.Option(metavar="N_MM", help="stiffness of the series spring, N/mm")] = None,
-    target: Annotated[
-        float | None, typer.Option(metavar="N", help="vertical tension to hold; 10 N for each kg if not given")
+    payload: Annotated[
+        float | None, number_option(TypedNumber("kg"), "--payload", metavar="KG", help="suspended mass")
     ] = None,
-    speed: Annotated[float | None, typer.Option(metavar="MM_S", help="largest speed of the stroke, mm/s")] = None,
+    spring: Annotated[
+        float | None,
+        number_option(TypedNumber("N/mm"), "--spring", metavar="N_MM", help="stiffness of the series spring, N/mm"),
+    ] = None,
+    target: Annotated[
+        float | None,
+        number_option(
+            TypedNumber("N"), "--target", metavar="N", help="vertical tension to hold; 10 N for each kg if not given"
+        ),
+    ] = None,
+    speed: Annotated[
+        float | None,
+        number_option(TypedNumber("mm/s"), "--speed", metavar="MM_S", help="largest speed of the stroke, mm/s"),
+    ] = None,
     stroke: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="highest stroke commanded; what spring and target need if not given"),
+        number_option(
+            TypedNumber("mm"),
+            "--stroke",
+            metavar="MM",
+            help="highest stroke commanded; what spring and target need if not given",
+        ),
     ] = None,
-    rate: Annotated[int | None, typer.Option(metavar="HZ", help="of the loop; the paper's rig has 1000")] = None,
-    bit_rate: Annotated[int | None, typer.Option(metavar="BIT_S", help="of the bus; the paper's has 1000000")] = None,
-    cell_node: Annotated[int | None, typer.Option(metavar="ID", help="node of the tension amplifier; else 2")] = None,
-    inclinometer_node: Annotated[int | None, typer.Option(metavar="ID", help="node of it; else 3")] = None,
-    drive_node: Annotated[int | None, typer.Option(metavar="ID", help="node of the cylinder's drive; else 4")] = None,
+    rate: Annotated[
+        int | None, number_option(_WHOLE, "--rate", metavar="HZ", help="of the loop; the paper's rig has 1000")
+    ] = None,
+    bit_rate: Annotated[
+        int | None, number_option(_WHOLE, "--bit-rate", metavar="BIT_S", help="of the bus; the paper's has 1000000")
+    ] = None,
+    cell_node: Annotated[
+        int | None, number_option(_WHOLE, "--cell-node", metavar="ID", help="node of the tension amplifier; else 2")
+    ] = None,
+    inclinometer_node: Annotated[
+        int | None, number_option(_WHOLE, "--inclinometer-node", metavar="ID", help="node of it; else 3")
+    ] = None,
+    drive_node: Annotated[
+        int | None, number_option(_WHOLE, "--drive-node", metavar="ID", help="node of the cylinder's drive; else 4")
+    ] = None,
     out: Annotated[pathlib.Path | None, typer.Option(metavar="FOLDER", help="write here; else to ./NAME")] = None,
     defaults: Annotated[bool, typer.Option("--defaults", help="ask nothing on a terminal")] = False,
 ) -> None:
@@ -235,10 +292,17 @@ def _faults(
     ] = None,
     json: JsonFile = None,
     list_: Annotated[bool, typer.Option("--list", help="print the catalogue, play nothing")] = False,
-    kills: Annotated[int, typer.Option(min=0, help="kill or stop processes of the daemon this often instead")] = 0,
-    gateway_kills: Annotated[int, typer.Option(min=0, help="kill the gateway this often instead")] = 0,
-    draw: Annotated[int, typer.Option(min=0, metavar="N", help="play N drawn pairs of faults instead")] = 0,
-    seed: Annotated[int, typer.Option(help="of the draws; --only K plays draw K alone")] = 1,
+    kills: Annotated[
+        int,
+        number_option(_COUNT, "--kills", metavar="N", help="kill or stop processes of the daemon this often instead"),
+    ] = 0,
+    gateway_kills: Annotated[
+        int, number_option(_COUNT, "--gateway-kills", metavar="N", help="kill the gateway this often instead")
+    ] = 0,
+    draw: Annotated[int, number_option(_COUNT, "--draw", metavar="N", help="play N drawn pairs of faults instead")] = 0,
+    seed: Annotated[
+        int, number_option(_WHOLE, "--seed", metavar="N", help="of the draws; --only K plays draw K alone")
+    ] = 1,
     rows: Annotated[
         pathlib.Path | None, typer.Option(help="keep draws here, go on with those of a stopped run")
     ] = None,
@@ -322,7 +386,9 @@ def _compared(
 def _inject(
     file: Annotated[pathlib.Path | None, typer.Argument(help="rig file, whose simulated rig is served")] = None,
     fault: Annotated[str | None, typer.Argument(help="id of the fault")] = None,
-    for_: Annotated[float | None, typer.Option("--for", metavar="S", help="seconds; else until --end")] = None,
+    for_: Annotated[
+        float | None, number_option(TypedNumber("seconds"), "--for", metavar="S", help="seconds; else until --end")
+    ] = None,
     end: Annotated[bool, typer.Option("--end", help="end the fault that stands")] = False,
     list_: Annotated[bool, typer.Option("--list", help="print the faults that can be put into a running rig")] = False,
 ) -> None:

@@ -17,6 +17,7 @@ from hil.study.rows_file import RowsFile
 from rigctl import __version__
 from rigctl.cli.progress import progress
 from rigctl.config.settings import RigSettings
+from rigctl.config.typed_number import TypedNumber, TypedNumberError
 
 MISSES = pathlib.Path("misses")
 """Folder for the files of misses."""
@@ -92,10 +93,11 @@ def replay(rig_file: pathlib.Path, file: pathlib.Path, json: pathlib.Path | None
 
 
 def _numbers(only: Sequence[str], count: int) -> list[int]:
-    for text in only:
-        if not text.isdecimal() or int(text) >= count:
-            raise ScenarioError([f"--only: found {text!r}, expected the number of a draw, 0 to {count - 1}"])
-    return sorted({int(text) for text in only})
+    draw = TypedNumber(least=0, most=count - 1, whole=True)
+    try:
+        return sorted({int(draw.read(text)) for text in only})
+    except TypedNumberError as error:
+        raise ScenarioError([f"--only: {error}"]) from None
 
 
 def _name(judged: Judged) -> str:

@@ -12,6 +12,7 @@ from hil.new.rig_decisions import DECISIONS, DecidedRig, RigDecision, default
 from hil.scenario.errors import ScenarioError
 from rigctl.config.quantity import significant
 from rigctl.config.settings import RigSettings
+from rigctl.config.typed_number import TypedNumber, TypedNumberError
 
 
 def run(
@@ -83,11 +84,11 @@ def _asked(decision: RigDecision, usual: float) -> float:
             raise KeyboardInterrupt
         answer = line.strip()
         try:
-            value = float(answer) if answer else usual
+            value = TypedNumber(decision.unit).read(answer) if answer else usual
             decision.check(value)
         except ScenarioError as error:
             sys.stderr.write(f"{error}\n")
-        except ValueError:
-            sys.stderr.write(f"{decision.option}: found {answer!r}, expected {decision.allowed}\n")
+        except TypedNumberError as error:
+            sys.stderr.write(f"{decision.option}: {error}\n")
         else:
             return value

@@ -20,9 +20,11 @@ from rigctl.cli.options import (
     daemon,
     end,
     end_with_answer,
+    number_option,
     say,
     say_json,
 )
+from rigctl.wire.typed_values import SHELF_MINUTES, shelf_s
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
@@ -41,9 +43,7 @@ class AlarmTask(Enum):
 What = Annotated[AlarmTask, typer.Argument(metavar="show|acknowledge|shelve|unshelve", help="What to do.")]
 Cause = Annotated[str | None, typer.Argument(metavar="[CAUSE]", help="Which alarm, as the list names it.")]
 Reason = Annotated[str | None, typer.Option(metavar="TEXT", help="shelve: why; on record.")]
-Minutes = Annotated[
-    float | None, typer.Option("--for", metavar="MINUTES", min=0.1, max=480, help="shelve: how long, 480 at most.")
-]
+Minutes = Annotated[float | None, number_option(SHELF_MINUTES, "--for", metavar="MINUTES", help="shelve: how long.")]
 
 
 def alarms(
@@ -75,7 +75,7 @@ def alarms(
                 end(USAGE, f"found the cause {cause!r}, expected one of: {known}")
             answer = client.decide_alarm(
                 AlarmAct(f"alarm_{act.value}"), operator_name(operator), str(cause), (reason or "").strip(),
-                round(60 * minutes) if minutes else 0,
+                shelf_s(minutes) if minutes is not None else 0,
             )  # fmt: skip
     if act is not AlarmTask.SHOW:
         end_with_answer(answer, json)

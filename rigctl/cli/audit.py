@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, end, load_rig_file, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, end, load_rig_file, number_option, say, say_json
 from rigctl.config.quantity import count
+from rigctl.config.typed_number import TypedNumber
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
@@ -40,7 +41,12 @@ Log = Annotated[
 Head = Annotated[
     str | None, typer.Option(metavar="HASH", help="verify: a head hash noted before; the log must still have it.")
 ]
-Last = Annotated[int | None, typer.Option(metavar="N", min=1, help="show: only the last N that fit.")]
+Last = Annotated[
+    int | None,
+    number_option(
+        TypedNumber("entries", least=1, whole=True), "--last", metavar="N", help="show: only the last N that fit."
+    ),
+]
 Since = Annotated[str | None, typer.Option(metavar="TIME", help="show: only from then on, ISO 8601 (local time).")]
 Named = Annotated[
     str | None, typer.Option("--what", metavar="TEXT", help="show: only what is called so (a part of it).")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, number_option, say_json
+from rigctl.config.typed_number import TypedNumber
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -22,8 +23,17 @@ SKIPPED_PER_LATE = 3
 _LONGEST_S, _SHORTEST_S = 3600.0, 1.0
 
 File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
-Seconds = Annotated[float, typer.Option(metavar="S", help="Of the loop at each rate, and as many of cyclictest.")]
-Rates = Annotated[list[int] | None, typer.Option("--rate", metavar="HZ", help="Loop rate, several [the file's].")]
+Seconds = Annotated[
+    float,
+    number_option(
+        TypedNumber("seconds", _SHORTEST_S, _LONGEST_S), "--seconds", metavar="S",
+        help="Of the loop at each rate, and as many of cyclictest.",
+    ),
+]  # fmt: skip
+Rates = Annotated[
+    list[int] | None,
+    number_option(TypedNumber("hertz", whole=True), "--rate", metavar="HZ", help="Loop rate, several [the file's]."),
+]
 
 
 def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = False) -> None:
@@ -31,7 +41,7 @@ def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = 
 
     Exit code 0 if every tick has its time, 1 if not, or while a daemon runs here.
     """
-    _check(seconds, rate or [])
+    _check(rate or [])
     settings = _settings(file)
     from rich.console import Console
 
@@ -57,9 +67,7 @@ def bench(file: File, seconds: Seconds = 30.0, rate: Rates = None, json: Json = 
     raise typer.Exit(DONE if all(met for one in measured for *_, met in judged(one)) else BAD)
 
 
-def _check(seconds: float, rates: list[int]) -> None:
-    if not _SHORTEST_S <= seconds <= _LONGEST_S:
-        end(USAGE, f"--seconds: found {seconds:g}, expected {_SHORTEST_S:g} to {_LONGEST_S:g}")
+def _check(rates: list[int]) -> None:
     for rate_hz in rates:
         if not 100 <= rate_hz <= 4000 or rate_hz % 100 or 1_000_000_000 % rate_hz:
             end(USAGE, f"--rate: found {rate_hz}, expected 100 to 4000, a multiple of 100 of whole nanoseconds")

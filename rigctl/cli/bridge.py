@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, say, wrong_usage
+from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, number_option, say, wrong_usage
 from rigctl.config.address import Address, AddressError, CannotListenError, here
+from rigctl.config.typed_number import TypedNumber
 from rigctl.ipc import standard_output
 
 if TYPE_CHECKING:
@@ -46,7 +47,12 @@ Listen = Annotated[
 ]
 Rate = Annotated[
     float,
-    typer.Option("--rate", metavar="HZ", min=0.1, max=4000.0, help="foxglove: of the records; every tick at the most."),
+    number_option(
+        TypedNumber("hertz", 0.1, 4000.0),
+        "--rate",
+        metavar="HZ",
+        help="foxglove: of the records; every tick at the most.",
+    ),
 ]
 Origins = Annotated[
     list[str] | None,

@@ -20,14 +20,15 @@ from rigctl.cli.options import (
     daemon,
     end,
     end_with_answer,
-    finite_number,
+    number_option,
     say,
 )
+from rigctl.config.typed_number import TypedNumber
 
 WeightN = Annotated[
     float | None,
-    typer.Option(
-        "--weight-n", metavar="NEWTONS", parser=finite_number("newtons"), help="Known weight [calibration.reference_n]."
+    number_option(
+        TypedNumber("newtons"), "--weight-n", metavar="NEWTONS", help="Known weight [calibration.reference_n]."
     ),
 ]
 Shunt = Annotated[bool, typer.Option("--shunt", help="Compare with the shunt [calibration.shunt_n].")]
@@ -36,9 +37,7 @@ Adopt = Annotated[
 ]
 Creep = Annotated[
     float | None,
-    typer.Option(
-        "--creep", metavar="MINUTES", parser=finite_number("minutes"), help="Record the creep after the load's step."
-    ),
+    number_option(TypedNumber("minutes"), "--creep", metavar="MINUTES", help="Record the creep after the load's step."),
 ]
 
 SUFFIXES = (".png", ".svg", ".pdf")

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from rigctl.cli.options import BAD, DONE, USAGE, Json, end, say, say_json
+from rigctl.cli.options import BAD, DONE, USAGE, Json, end, number_option, say, say_json
+from rigctl.config.typed_number import TypedNumber
 from rigctl.identity.credentials import CredentialsError
 from rigctl.identity.key_folder import HostError, KeyFolder, KeyFolderError
 from rigctl.identity.roles import GATEWAY_NAME, Role
@@ -41,7 +42,13 @@ ROLES = [role.value for role in Role if role is not Role.GATEWAY]
 _ROLES = "|".join(ROLES)
 Of = Annotated[str | None, typer.Option("--role", metavar=_ROLES, help="With add: what they may do.")]
 Folder = Annotated[pathlib.Path, typer.Option("--dir", metavar="FOLDER", help="Key folder.")]
-Days = Annotated[int | None, typer.Option(min=1, max=3650, help="How long the key is good [365, a gateway's 825].")]
+Days = Annotated[
+    int | None,
+    number_option(
+        TypedNumber("days", 1, 3650, whole=True), "--days", metavar="DAYS",
+        help="How long the key is good [365, a gateway's 825].",
+    ),
+]  # fmt: skip
 Hosts = Annotated[
     list[str] | None,
     typer.Option("--host", metavar="HOST", help="Name or address of gateway or page; several times."),

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import pathlib
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
 from rigctl.config import one_line
+from rigctl.config.typed_number import TypedNumber
 from rigctl.ipc import output_file
 
 if TYPE_CHECKING:
@@ -42,19 +42,17 @@ Operator = Annotated[
 ]
 
 
-def finite_number(unit: str) -> Callable[[str], float]:
-    """A parser of finite, signed numbers of ``unit``."""
+SEED = TypedNumber("", 0, 2**31, whole=True)
 
-    def parsed(text: str) -> float:
-        try:
-            value = float(text)
-        except ValueError:
-            value = math.nan
-        if not math.isfinite(value):
-            raise typer.BadParameter(f"found {text!r}, expected a number of {unit}")
-        return value
 
-    return parsed
+def number_option(number: TypedNumber, *names: str, metavar: str, help: str) -> Any:
+    """An option with a number; its help shows the bounds."""
+    return typer.Option(*names, metavar=metavar, parser=number.read, min=number.least, max=number.most, help=help)
+
+
+def number_argument(number: TypedNumber, metavar: str, help: str) -> Any:
+    """An argument that is a number."""
+    return typer.Argument(metavar=metavar, parser=number.read, help=help)
 
 
 Wait = Annotated[bool, typer.Option("--wait", help="Return when it is over, or has failed.")]

@@ -13,7 +13,19 @@ import typer
 
 from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
 from rigctl.cli.json_file import complaint as json_complaint
-from rigctl.cli.options import BAD, DONE, USAGE, check_output, end, load_rig_file, say, wrong_usage
+from rigctl.cli.options import (
+    BAD,
+    DONE,
+    SEED,
+    USAGE,
+    check_output,
+    end,
+    load_rig_file,
+    number_option,
+    say,
+    wrong_usage,
+)
+from rigctl.config.typed_number import TypedNumber
 from rigctl.ipc import output_file, wall_clock
 
 if TYPE_CHECKING:
@@ -50,8 +62,16 @@ def tune(
     optimize: Annotated[
         bool, typer.Option("--optimize", help="Find the weights of least error within the limits, about a minute.")
     ] = False,
-    seed: Annotated[int, typer.Option(min=0, max=2**31, help="With --optimize: of the search.")] = 1,
-    evaluations: Annotated[int, typer.Option(min=50, max=100_000, help="With --optimize: designs tried.")] = 600,
+    seed: Annotated[int, number_option(SEED, "--seed", metavar="N", help="With --optimize: of the search.")] = 1,
+    evaluations: Annotated[
+        int,
+        number_option(
+            TypedNumber("designs", 50, 100_000, whole=True),
+            "--evaluations",
+            metavar="N",
+            help="With --optimize: designs tried.",
+        ),
+    ] = 600,
 ) -> None:
     """Compute gains for a rig; show and judge their margins over the family of plants.
 

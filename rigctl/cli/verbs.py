@@ -17,10 +17,11 @@ from rigctl.cli.options import (
     Wait,
     daemon,
     end_with_answer,
-    finite_number,
+    number_argument,
     say,
 )
 from rigctl.wire import state_words as figures
+from rigctl.wire.typed_values import LENGTH, MOVE, SECONDS, STROKE, TARGET
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client
@@ -30,29 +31,17 @@ if TYPE_CHECKING:
 SILENCE_S = 5.0
 
 
-Newtons = Annotated[
-    float, typer.Argument(metavar="NEWTONS", parser=finite_number("newtons"), help="Vertical tension to hold.")
-]
-
-
-MoveNumber = Annotated[int, typer.Argument(metavar="N", min=0, help="Number of the move, from 1; 0 ends it.")]
-Millimetres = Annotated[
-    float,
-    typer.Argument(metavar="MM", parser=finite_number("millimetres"), help="Stroke, as measured at the cylinder."),
-]
-Seconds = Annotated[
-    float,
-    typer.Argument(metavar="SECONDS", parser=finite_number("seconds"), help="How long, 1 to 3600 s."),
-]
+Newtons = Annotated[float, number_argument(TARGET, "NEWTONS", "Vertical tension to hold.")]
+MoveNumber = Annotated[int, number_argument(MOVE, "N", "Number of the move, from 1; 0 ends it.")]
+Millimetres = Annotated[float, number_argument(STROKE, "MM", "Stroke, as measured at the cylinder.")]
+Seconds = Annotated[float, number_argument(SECONDS, "SECONDS", "How long, 1 to 3600 s.")]
 NearEnd = Annotated[
     bool, typer.Option("--near-end", help="Arm at an end of the stroke, to drive away from it (tension, release).")
 ]
 Length = Annotated[
     float | None,
-    typer.Argument(
-        metavar="MM",
-        parser=finite_number("millimetres"),
-        help="How far a slack rope is paid out, in HOLD, at 2 mm/s; without it the tension is ramped down.",
+    number_argument(
+        LENGTH, "MM", "How far a slack rope is paid out, in HOLD, at 2 mm/s; without it the tension is ramped down."
     ),
 ]
 Supported = Annotated[

@@ -401,7 +401,7 @@ class Orders:
             little_load=self._brake.fails and snapshot.tension_n < self._brake.wanted_n,
             at_rest=snapshot.still_ns >= arming.STILL_NS,
             length_mm=length if (length := values.get("length_mm", 0.0)) == length else 0.0,
-            room_mm=snapshot.stroke_mm - settings.cylinder.stroke_min_mm - safety.STROKE_SPARE_MM,
+            room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
             disagree=snapshot.sink_apart_mm > 0.0,
             by=by if (by := values.get("by", 0.0)) == by else 0.0,
             drive_faulted=snapshot.drive_faulted,

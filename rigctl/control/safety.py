@@ -138,6 +138,11 @@ def status_stale_ns(settings: RigSettings) -> int:
     return STATUS_PERIODS * settings.status_divisor * settings.loop.period_ns
 
 
+def payable_mm(stroke_mm: float, stroke_min_mm: float) -> float:
+    """How much of a slack rope may be paid out from ``stroke_mm``."""
+    return stroke_mm - stroke_min_mm - STROKE_SPARE_MM
+
+
 _LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
 _LIMITS = "a limit of its own is active (statusword bit 11)"
 _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"

@@ -14,16 +14,17 @@ from typing import Any
 
 from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+from rigctl.config.typed_number import TypedNumberError
+from rigctl.page import typed_fields
 from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import Denial
 from rigctl.wire.possible_commands import VERBS as POSSIBLE
 from rigctl.wire.state_words import measured, number
+from rigctl.wire.typed_values import SHELF_MINUTES, shelf_s
 
 CONFIRM_S = 15.0
 VERBS = ("hold", *(verb.name.lower() for verb in POSSIBLE))
-WITH_VALUE, OPTIONAL = ("target", "carry"), ("release",)
-"""Commands with a number, and those that may have one."""
 Answer = dict[str, Any]
 
 
@@ -98,32 +99,43 @@ class PageCommands:
             return self._ask(lambda client: client.return_lease(self.operator))
         raise RefusedError(f"found act {act!r}, expected take, return")
 
-    def alarm(self, act: str, cause: str, reason: str, for_s: int) -> Answer:
-        """Acknowledge, shelve or unshelve an alarm; it needs no lease.
+    def alarm(self, act: str, cause: str, reason: str, minutes: str | float) -> Answer:
+        """Acknowledge, shelve or unshelve an alarm; it needs no lease. ``minutes``: as typed, of shelve alone.
 
         Raises:
-            RefusedError: no daemon answers, or ``act`` is not valid.
+            RefusedError: no daemon answers, or ``act`` or ``minutes`` is not valid.
         """
         try:
             decision = AlarmAct(f"alarm_{act}")
         except ValueError:
             raise RefusedError(f"found act {act[:40]!r}, expected acknowledge, shelve, unshelve") from None
+        shelves = decision is AlarmAct.SHELVE or minutes != ""
+        try:
+            for_s = shelf_s(SHELF_MINUTES.read(minutes)) if shelves else 0
+        except TypedNumberError as error:
+            raise RefusedError(f"{act.upper()}: {error}") from None
         return self._ask(lambda client: client.decide_alarm(decision, self.operator, cause, reason, for_s))
 
-    def propose(self, verb: str, value: float | None, reason: str = "") -> Answer:
+    def propose(self, verb: str, given: str | float | None, reason: str = "") -> Answer:
         """Propose a command, to be confirmed by the number ``confirm``; HOLD is given at once.
+
+        ``given``: its number, as text where an operator has typed it.
 
         Takes the lease first, where this page has none: from another holder only with a ``reason``. Without one the
         answer names the ``holder``.
 
         Raises:
-            RefusedError: no such command, no daemon.
+            RefusedError: no such command, no daemon, or text that is no number.
         """
         if verb not in VERBS:
             raise RefusedError(f"found the command {verb[:40]!r}, expected {', '.join(VERBS)}")
-        if (value is not None) != (verb in WITH_VALUE) and verb not in OPTIONAL:
-            found = "no value" if value is None else "a value"
-            raise RefusedError(f"found {found}, expected with {' and '.join(WITH_VALUE)} alone")
+        if (given is not None) != (verb in typed_fields.REQUIRED) and verb not in typed_fields.OPTIONAL:
+            found = "no value" if given is None else "a value"
+            raise RefusedError(f"found {found}, expected with {' and '.join(typed_fields.REQUIRED)} alone")
+        try:
+            value = typed_fields.value_of(verb, given)
+        except TypedNumberError as error:
+            raise RefusedError(f"{verb.upper()}: {error}") from None
         if verb == "hold":
             return self._hold()
         state = self._picture.state or {}

@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from rigctl.client import local_hold
-from rigctl.page import operator_panel
+from rigctl.page import operator_panel, typed_fields
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarm_words import tally
@@ -56,6 +56,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "server_wall_ms": time.time() * 1000,
         "asked": asked,
     }
+    message["bounds"] = typed_fields.bounds(state or {}, active.get("settings") or {})
     message["alarms"] = [as_message(row, now_ns) | {"condition": row.condition} for row in alarms]
     failing = ((state or {}).get("preflight") or {}).get("failing") or {}
     barred = len(failing) if (state or {}).get("mode") == "DISARMED" else 0

@@ -45,7 +45,7 @@ _OTHER_PAGE = "requests are taken from this server's own page alone"
 @built
 class _CommandBody(msgspec.Struct, forbid_unknown_fields=True):
     verb: str
-    value: float | None = None
+    value: str | float | None = None  # text: of a field, as it was typed
     reason: str = ""
 
 
@@ -65,7 +65,7 @@ class _AlarmBody(msgspec.Struct, forbid_unknown_fields=True):
     act: str
     cause: str
     reason: str = ""
-    for_s: int = 0
+    minutes: str | float = ""
 
 
 @built
@@ -123,7 +123,10 @@ class Page:
         self._threads = ThreadPoolExecutor(32, "commands")
         acts: dict[str, tuple[type[Any], Callable[[PageCommands, Any], Answer]]] = {
             "lease": (_LeaseBody, lambda commands, body: commands.lease(body.act, body.reason)),
-            "alarm": (_AlarmBody, lambda commands, body: commands.alarm(body.act, body.cause, body.reason, body.for_s)),
+            "alarm": (
+                _AlarmBody,
+                lambda commands, body: commands.alarm(body.act, body.cause, body.reason, body.minutes),
+            ),
             "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value, body.reason)),
             "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
         }

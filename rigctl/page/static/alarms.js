@@ -10,10 +10,9 @@ export class AlarmTable {
     this.shown = "";
     this.open = new Set(); // causes whose words and remedy are shown
     this.body = document.querySelector("#alarm-table tbody");
-    byId("shelve").addEventListener("submit", (event) => {
+    byId("shelve").addEventListener("submit", async (event) => {
       event.preventDefault();
-      this.decide("shelve", byId("shelve-cause").textContent, { reason: byId("shelve-reason").value.trim(), for_s: Math.round(60 * byId("shelve-minutes").valueAsNumber) });
-      byId("shelve").hidden = true;
+      byId("shelve").hidden = await this.decide("shelve", byId("shelve-cause").textContent, { reason: byId("shelve-reason").value.trim(), minutes: byId("shelve-minutes").value });
     });
     byId("shelve-no").addEventListener("click", () => (byId("shelve").hidden = true));
     document.querySelector("#alarm-table").addEventListener("click", (event) => {
@@ -76,6 +75,7 @@ export class AlarmTable {
   async decide(act, cause, more) {
     const { ok, answer } = await this.session.post("alarm", { act, cause, ...more });
     this.say(answer.text, ok);
+    return ok;
   }
 }
 

@@ -43,7 +43,8 @@ export class Commands {
     if (state.mode === "FAULT" && this.mode !== undefined && this.mode !== "FAULT") this.say("", true);
     this.mode = state.mode;
     for (const node of document.querySelectorAll(".in-fault")) node.classList.toggle("away", state.mode !== "FAULT");
-    byId("millimetres").classList.toggle("away", state.mode !== "HOLD");
+    byId("millimetres").closest(".field").classList.toggle("away", state.mode !== "HOLD");
+    for (const [id, words] of Object.entries(state.bounds ?? {})) set(byId(`${id}-bounds`), words);
     this.verbs(state);
     byId("hold").classList.toggle("dead", Boolean(state.hold_dead)); // undefined would change it at every message
     byId("hold").title = state.hold_dead ? state.hold : "";
@@ -71,10 +72,7 @@ export class Commands {
     const asked = performance.now();
     const body = { verb, reason };
     const left = OPTIONAL.includes(verb) && (this.mode !== "HOLD" || !byId(VALUES[verb]).value);
-    if (verb in VALUES && !left) {
-      body.value = byId(VALUES[verb]).valueAsNumber;
-      if (!Number.isFinite(body.value)) return this.say(`${verb.toUpperCase()}: found no number of ${VALUES[verb]}`, false);
-    }
+    if (verb in VALUES && !left) body.value = byId(VALUES[verb]).value; // the server reads it, as it reads a command line
     byId("millimetres").value = ""; // a length is for one release alone
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;

@@ -124,8 +124,9 @@ def test_rigs_far_from_the_papers_meet_the_demos_limits(tmp_path: pathlib.Path, 
             pytest.param(*row, marks=pytest.mark.long)
             for row in (
                 (("../up",), "NAME: found '../up', expected"),
-                (("r", "--payload", "nan"), "--payload: found nan, expected a number in kg, 0.1 to 1000"),
-                (("r", "--stroke", "inf"), "--stroke: found inf, expected a number in mm, -2000 to 2000"),
+                (("r", "--payload", "nan"), "'--payload': found 'nan', expected a number of kg such as 290.5"),
+                (("r", "--stroke", "inf"), "'--stroke': found 'inf', expected a number of mm such as 290.5"),
+                (("r", "--stroke", "2001"), "--stroke: found 2001, expected a number in mm, -2000 to 2000"),
                 (("r", "--spring", "six"), "hil: Invalid value for '--spring': "),
                 (
                     ("r", "--target", "2000"),

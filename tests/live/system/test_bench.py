@@ -103,8 +103,8 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
         (("--rate", "333"), "--rate: found 333"),
         (("--rate", "0"), "--rate: found 0"),
         (("--rate", "1000", "--rate", "8000"), "--rate: found 8000"),
-        (("--seconds", "0"), "--seconds: found 0"),
-        (("--seconds", "nan"), "--seconds: found nan"),
+        (("--seconds", "0"), "'--seconds': found 0, expected 1 to 3600 seconds"),
+        (("--seconds", "nan"), "'--seconds': found 'nan', expected a number of seconds"),
     ],
 )
 def test_a_rate_or_time_that_cannot_be_is_refused(options: tuple[str, ...], said: str) -> None:

@@ -1,0 +1,18 @@
+"""The numbers that an operator types with a command, on the command line or on the page."""
+
+from __future__ import annotations
+
+from rigctl.config.typed_number import TypedNumber
+
+TARGET = TypedNumber("newtons")
+STROKE = TypedNumber("millimetres")
+LENGTH = TypedNumber("millimetres")
+SECONDS = TypedNumber("seconds")
+MOVE = TypedNumber("moves", 0, whole=True)
+SHELF_MINUTES = TypedNumber("minutes", 0.1, 480)
+"""Of an alarm that is shelved; the longest is `rigctl.wire.alarms.LONGEST_SHELF_S`."""
+
+
+def shelf_s(minutes: float) -> int:
+    """How long an alarm is shelved, as the wire has it."""
+    return round(60 * minutes)
