@@ -20,6 +20,9 @@ _HEADROOM = 1.25  # range of the cell over the trip: the paper's
 _RAMP_SHARE = 0.84  # of the largest speed, which the ramp of the tension may take: the paper's
 _LEAST_HEARTBEAT_MS, _LEAST_TIMEOUT_MS, _LEAST_DEADLINE_MS = 5, 10, 5  # those of the settings
 _SPARE = 1.2
+_LEAST_PERIODS = 5  # of the loop, in each limit in time: a tick or two that come late are no loss
+_SLOW_HZ = 200
+_SLOW_WALK_N = 30.0  # `estimator.tension_walk_n` up to that rate, see the paper's rig file
 
 
 class Sized(NamedTuple):
@@ -32,7 +35,7 @@ class Sized(NamedTuple):
 
 def sized(name: str, decided: DecidedRig, paper: RigSettings) -> list[Sized]:
     """Every setting in which the rig differs from the paper's."""
-    return [*_named(name), *_forces(decided, paper), *_speeds(decided, paper)]
+    return [*_named(name), *_forces(decided, paper), *_speeds(decided, paper), *_periods(decided, paper)]
 
 
 def _named(name: str) -> Iterator[Sized]:
@@ -116,11 +119,14 @@ def _speeds(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
     room_n = min(high_n - highest_n, lowest_n)
     room_mm, lag_s = room_n / stiffness, plant.command_delay_s + plant.cylinder_lag_s
     loss_ms = 1e3 * min(BLIND_MM / speed, room_mm / speed - lag_s)
-    timeout_ms = _whole(loss_ms, cylinder.heartbeat_timeout_ms, _LEAST_TIMEOUT_MS)
+    periods_ms = _periods_ms(paper)
+    timeout_ms = _whole(loss_ms, max(cylinder.heartbeat_timeout_ms, periods_ms), _LEAST_TIMEOUT_MS)
     yield Sized(("cylinder", "heartbeat_timeout_ms"), timeout_ms, None)
     yield Sized(("can", "heartbeat_ms"), _whole(timeout_ms / 2, paper.can.heartbeat_ms, _LEAST_HEARTBEAT_MS))
     yield Sized(
-        ("cylinder", "command_deadline_ms"), _whole(loss_ms, cylinder.command_deadline_ms, _LEAST_DEADLINE_MS), None
+        ("cylinder", "command_deadline_ms"),
+        _whole(loss_ms, max(cylinder.command_deadline_ms, periods_ms), _LEAST_DEADLINE_MS),
+        None,
     )
     overrun = _whole(paper.loop.rate_hz * BLIND_MM / speed, safety.overrun_ticks, SAMPLES)
     yield Sized(("safety", "overrun_ticks"), overrun)
@@ -128,6 +134,24 @@ def _speeds(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
     if left_mm > 0.0:
         stop = max(cylinder.stop_deceleration_mm_s2, _SPARE * speed**2 / (2.0 * left_mm))
         yield Sized(("cylinder", "stop_deceleration_mm_s2"), float(f"{stop:.2g}"))
+
+
+def _periods(decided: DecidedRig, paper: RigSettings) -> Iterator[Sized]:
+    """Limits in time that a slower loop needs longer: as many of its periods, within the stroke's bound meanwhile."""
+    safety, most_ms = paper.safety, math.floor(1e3 * BLIND_MM / decided.speed_mm_s)
+    for key in ("stale_ms", "bus_silent_ms"):
+        yield Sized(("safety", key), min(max(getattr(safety, key), _periods_ms(paper)), most_ms), None)
+    share = max(1.0, _periods_ms(paper) / safety.stale_ms)
+    for at, row in enumerate(paper.limits):
+        if row.signal in ("cell_age_ms", "drive_age_ms") and row.high is not None:
+            yield Sized(("limits", at, "high"), _round(share * row.high), None)
+    if paper.loop.rate_hz <= _SLOW_HZ:
+        walk_n = _round(decided.target_n / paper.tension.target_n * _SLOW_WALK_N)
+        yield Sized(("estimator", "tension_walk_n"), walk_n, "calm enough for a slow loop")
+
+
+def _periods_ms(paper: RigSettings) -> int:
+    return math.ceil(1e3 * _LEAST_PERIODS / paper.loop.rate_hz)
 
 
 def _round(value: float) -> float:

@@ -99,6 +99,8 @@ def test_a_rig_from_options_is_checked_and_plays_demo_and_scenario(tmp_path: pat
         ("--spring", "3", "--speed", "40"),
         ("--target", "50"),
         ("--spring", "34"),
+        ("--rate", "100"),
+        ("--rate", "100", "--payload", "2.7", "--spring", "0.85", "--speed", "8"),
     ],
     ids=" ".join,
 )
@@ -171,6 +173,18 @@ def test_the_bus_has_the_nodes_and_rates_that_were_chosen(tmp_path: pathlib.Path
     made = rig_file.load(tmp_path / "slow/slow.yaml")
     assert (made.loop.rate_hz, made.can.bitrate_bit_s) == (500, 500_000)
     assert (made.tension_cell.node, made.inclinometer.node, made.cylinder.node) == (12, 13, 14)
+    checked = daemons.rigctl("check", str(tmp_path / "slow/slow.yaml"))
+    assert checked.returncode == 0, checked.stderr
+
+
+@pytest.mark.parametrize("rate_hz", [100, 200])
+def test_limits_in_time_are_as_many_periods_of_a_slow_loop(tmp_path: pathlib.Path, rate_hz: int) -> None:
+    done = new(tmp_path, "slow", "--rate", str(rate_hz))
+    assert done.returncode == 0, done.stderr
+    made = rig_file.load(tmp_path / "slow/slow.yaml")
+    assert (made.loop.rate_hz, made.safety.waiver, made.can.interface) == (rate_hz, None, "rigsim")
+    limits_ms = (made.safety.stale_ms, made.safety.bus_silent_ms, made.cylinder.command_deadline_ms)
+    assert min(limits_ms) >= 5 * 1000 / rate_hz
     checked = daemons.rigctl("check", str(tmp_path / "slow/slow.yaml"))
     assert checked.returncode == 0, checked.stderr
 
