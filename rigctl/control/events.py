@@ -281,6 +281,9 @@ _RANGES: dict[Verb, str] = {
 _PLAIN_TEXT = {
     Refusal.CARRIED: "the motor carries the load for another {:.0f} s, because the brake does not hold it: rigctl "
     "lower, or rigctl disarm to try the brake, then reset",
+    Refusal.SUNK: "the load has sunk by {:.1f} mm in the arms before, because the motor turns back when it takes it: "
+    "support the payload from below until the rope is slack, arm, and let the motor have the load with tension; "
+    "cylinder.rated_force_n gives the motor a preload",
     Refusal.DISAGREE: "encoder and tension disagree by {:.2f} mm on how the load moves: see at the rig which of them "
     "is right, then rigctl carry (or lower) --by encoder or --by cell",
     Refusal.STOPPING: "daemon is stopping",

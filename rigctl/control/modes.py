@@ -264,6 +264,7 @@ class Refusal(IntEnum):
     TIGHT = 104  # a length is paid out on a slack rope only
     NO_BRAKE = 106  # the rig file has none to test
     LITTLE_LOAD = 105  # too little for a brake test to show anything; value: load that it needs in N
+    SUNK = 107  # each ARM of a tight rope had the load sink, and it is no motion on purpose; value: by how much in mm
     DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
 
@@ -280,6 +281,7 @@ class Situation:
     e_stop: bool = False  # pressed
     brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
     disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
+    sunk_mm: float = 0.0  # by ARMs alone, since the load was last moved on purpose
     no_brake: bool = False  # the rig file has none, see cylinder.brake_waiver
     little_load: bool = False  # for a test of a brake that is known not to hold
     at_rest: bool = False  # the stroke has stood still
@@ -306,9 +308,15 @@ class Situation:
 Guard = Callable[[Situation], Refusal]
 
 
+SUNK_MM = 0.9
+"""By ARMs alone: two that let a load roll back by the limit of DRIVE_NOT_FOLLOWING."""
+
+
 def preflight_passed(situation: Situation) -> Refusal:
-    """No preflight check fails."""
-    return Refusal.PREFLIGHT if situation.failed_checks else Refusal.NONE
+    """No preflight check fails, and the load has not sunk by ARMs that went before."""
+    if situation.failed_checks:
+        return Refusal.PREFLIGHT
+    return Refusal.SUNK if situation.sunk_mm > SUNK_MM else Refusal.NONE
 
 
 def cause_gone(situation: Situation) -> Refusal:

@@ -61,6 +61,8 @@ _ABOUT_DRIVE = frozenset(
      Refusal.STOP_RUNNING}
 )  # fmt: skip
 """Refusals whose reply has a figure of drive or brake."""
+_MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER, Verb.DISARM})
+"""The load moves on purpose, or its motor has held it: what it sank by the arms before is of no account."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
@@ -118,6 +120,7 @@ class Orders:
         self.length_mm = 0.0  # of the last RELEASE
         self._taken_s = math.nan  # how long that took, where a trial went on after it
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
+        self._armed_mm = math.nan  # stroke at the first ARM of a tight rope since the load was moved on purpose
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
 
     def take(self, slot: object, t_ns: int) -> bool:
@@ -229,6 +232,8 @@ class Orders:
         elif given.refusal is Refusal.CAUSE_PRESENT:
             figures = {"cause": float(self._watch.present(self._observer.snapshot))}
             checks = self._watch.blocking(self._observer.snapshot)
+        elif given.refusal is Refusal.SUNK:
+            figures = {"moved_mm": self._armed_mm - self._observer.snapshot.stroke_mm}
         elif given.refusal is Refusal.DISAGREE:
             figures = {"apart_mm": self._observer.snapshot.sink_apart_mm}
         elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
@@ -397,6 +402,7 @@ class Orders:
             carried=machine.carry_until_ns > 0,
             e_stop=snapshot.e_stop != 0,
             brake_fails=self._brake.fails,
+            sunk_mm=0.0 if observer.slack else self._armed_mm - snapshot.stroke_mm,
             no_brake=settings.cylinder.brake_waiver is not None,
             little_load=self._brake.fails and snapshot.tension_n < self._brake.wanted_n,
             at_rest=snapshot.still_ns >= arming.STILL_NS,
@@ -426,6 +432,7 @@ class Orders:
         if refusal not in (None, Refusal.NONE):
             return
         done = refusal is Refusal.NONE
+        self._note_arm(verb)
         if machine.pending is verb and was_pending is not verb and not machine.resetting:
             if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
                 self.shown_checks = situation.failed_checks
@@ -453,6 +460,12 @@ class Orders:
             self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
+
+    def _note_arm(self, verb: Verb) -> None:
+        if verb in _MOVES or self._observer.slack:
+            self._armed_mm = math.nan
+        elif verb is Verb.ARM and math.isnan(self._armed_mm):
+            self._armed_mm = self._observer.snapshot.stroke_mm
 
     def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
         """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""

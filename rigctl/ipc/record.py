@@ -182,7 +182,7 @@ REPLY = Slot(
         Field("taught", "d", "", "MOVE: moves that its table was learnt from"),
         Field("duration_s", "d", "s", "IDENTIFY, RESPONSE: how long it took"),
         Field("cause", "d", "", "CAUSE_PRESENT: number of the fault whose cause is there"),
-        Field("moved_mm", "d", "mm", "BRAKE_SLIPPED: motion on the closed brake"),
+        Field("moved_mm", "d", "mm", "BRAKE_SLIPPED: motion on the closed brake; SUNK: by the arms before"),
         Field("speed_mm_s", "d", "mm/s", "STOP_RUNNING: speed of the stroke"),
         Field(
             "drive_state",

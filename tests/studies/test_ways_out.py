@@ -25,7 +25,7 @@ from rigctl.control.brake_flag import TESTED_SHARE, KeptBrake
 from rigctl.control.carried_load import LOWERS_MM_S
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb, Witness
+from rigctl.control.modes import SUNK_MM, Mode, Refusal, Verb, Witness
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.ipc.record import Flag
@@ -245,6 +245,35 @@ def test_a_motor_that_yields_takes_a_slipping_load_too(
         limit_mm = sinks_mm(settings, at.rig.rig.truth.tension_n)
         assert at.carried(60.0) <= limit_mm
         assert at.rig.rig.drive.control.enabled
+
+
+@pytest.mark.gate
+def test_a_load_that_a_motor_lets_roll_back_does_not_go_down_by_the_same_at_each_arm(gains: Gains) -> None:
+    """Without a preload: each ARM ends in DRIVE_NOT_FOLLOWING, and a reset gave the next one the same allowance."""
+    case = yielding(LOAD_N, None)
+    settings = settings_of(SETTINGS, case)
+    with braked(settings, gains, Mode.DISARMED, case.load_n) as at:
+        before_mm = at.stroke_mm
+        answers = []
+        for _ in range(4):
+            answers.append(at.rig.command(Verb.ARM))
+            at.run(3.0)
+            if at.fault is not Fault.NONE:
+                assert at.rig.command(Verb.RESET) is Refusal.NONE
+                at.run(2.0)
+        assert set(answers[2:]) == {Refusal.SUNK}
+        assert at.rig.reply["moved_mm"] == pytest.approx(before_mm - at.stroke_mm, abs=0.05)
+        assert before_mm - at.stroke_mm <= SUNK_MM + sinks_mm(settings, case.load_n)
+        at.rig.rig.plant.parameters["free_length"] += LOAD_N / SETTINGS.plant.stiffness_n_mm + 10.0  # supported
+        at.run(5.0)
+        assert at.rig.command(Verb.ARM) is Refusal.PREFLIGHT
+        assert at.fault is Fault.TENSION_LOW, "the load is gone from the rope"
+        at.run(2.0)
+        assert at.rig.command(Verb.RESET) is Refusal.NONE
+        at.run(2.0)
+        assert at.rig.command(Verb.ARM) is Refusal.NONE
+        assert at.rig.command(Verb.TENSION) is Refusal.NONE
+        at.run_until(lambda: at.rig.loop.machine.mode is Mode.COMPENSATING, 60.0)
 
 
 # -- one witness ----------------------------------------------------------------------------------------------------

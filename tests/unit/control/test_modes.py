@@ -186,6 +186,8 @@ def test_a_stroke_is_confirmed_within_half_a_millimetre(measured_mm: float, agre
 
 def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
+    assert decide(Mode.DISARMED, Verb.ARM, Situation(sunk_mm=1.0)).refusal is Refusal.SUNK
+    assert decide(Mode.DISARMED, Verb.ARM, Situation(sunk_mm=math.nan)).refusal is Refusal.NONE
     assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.FAULT, Verb.RESET, Situation(stop_running=True)).refusal is Refusal.STOP_RUNNING
     assert decide(Mode.FAULT, Verb.RESET, Situation(armed=True)).event is Event.RESET_HELD
