@@ -11,14 +11,15 @@ from hil.faults.stand import Step
 from hil.lockstep import Lockstep
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.modes import Mode, Refusal, Verb, Witness
 from rigctl.control.safety import Action
 from rigctl.devices.startup import StartupError
+from rigctl.diagnosis.part import Part
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
-from rigctl.wire.instructions import Hands, HandsAt, Instruction
+from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.operator_view import view
 from rigctl.wire.trust import doubts
 
@@ -143,9 +144,11 @@ class StepFollower:
 
     def _command(self, step: Instruction) -> bool:
         verb = Verb[step.verb.replace("-", "_").upper()]
-        values = step.values or {Verb.CARRY: (CARRY_S,), Verb.CONFIRM_STROKE: (self._rig.rig.truth.stroke_mm,)}.get(
-            verb, ()
-        )
+        values: tuple[float, ...] = (CARRY_S,) if verb is Verb.CARRY else ()
+        if step.read_at_rig is ReadAtRig.STROKE:
+            values = (self._rig.rig.truth.stroke_mm,)
+        elif step.read_at_rig is ReadAtRig.WITNESS:
+            values = (float(Witness.CELL if Part.ENCODER in self._parts else Witness.ENCODER),)
         refusal = Refusal.NONE
         for _ in range(TRIES):
             refusal = self._rig.command(verb, *values, limit_s=30.0)

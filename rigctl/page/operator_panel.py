@@ -10,11 +10,8 @@ from rigctl.config.quantity import number
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarms import Alarm
 from rigctl.wire.operator_view import view
-from rigctl.wire.possible_commands import VERBS
 from rigctl.wire.state_words import held
 from rigctl.wire.trust import DEVICES, doubts
-
-_BUTTONS = frozenset({"hold", *(verb.name.lower() for verb in VERBS)})
 
 
 def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") -> dict[str, Any]:
@@ -26,7 +23,7 @@ def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") 
         "value": root.value if root else "", "limit": root.limit if root else "",
         "since_ms": None if root is None or root.since_ns is None else root.since_ns / 1e6,
         "active": root is None or root.stands, "does": found.does, "blocks": found.blocks,
-        "steps": [{"text": step.text, "verb": step.verb if step.verb in _BUTTONS else ""} for step in found.steps],
+        "steps": [{"text": step.text, "verb": "" if step.read_at_rig else step.verb} for step in found.steps],
         "entry": found.entry, "entry_why": found.entry_why,
     }  # fmt: skip
 

@@ -28,15 +28,22 @@ class HandsAt(StrEnum):
     """Which part is not known."""
 
 
+class ReadAtRig(StrEnum):
+    """What is read at the rig for the value of a command."""
+
+    STROKE = "the stroke, measured at the cylinder"
+    WITNESS = "whether the encoder or the cell shows how the load moves"
+
+
 @dataclass(frozen=True)
 class Instruction:
     """One thing to do next. ``verb``: the command, whose button it is; "" for a step of hands.
 
-    ``values``: of the command, as in `rigctl.control.modes.VALUES`. ``places``: where the hands act, one of them.
+    ``read_at_rig``: what the command's value is. ``places``: where the hands act, one of them.
     """
 
     text: str
     verb: str = ""
-    values: tuple[float, ...] = ()
+    read_at_rig: ReadAtRig | None = None
     places: tuple[str, ...] = (HandsAt.HALL,)
     hands: Hands = Hands.LOOK

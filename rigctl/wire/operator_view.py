@@ -11,7 +11,7 @@ from rigctl.config.quantity import number
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
-from rigctl.wire.instructions import Hands, HandsAt, Instruction
+from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.possible_commands import possible
 from rigctl.wire.state_words import drive, ending, held, mode
 from rigctl.wire.trust import doubts, trusted
@@ -21,6 +21,10 @@ _HALL = "Keep out of the hall."
 _START = Instruction(
     "At the rig's computer: rigctl doctor, then start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START
 )
+_BY_ONE = Instruction(
+    "Where encoder and tension disagree, see at a mark on the cylinder which is right: rigctl lower --by encoder, or "
+    "rigctl lower --by cell.", "lower", ReadAtRig.WITNESS,
+)  # fmt: skip
 _SUPPORTED = (HandsAt.PAYLOAD,)
 
 
@@ -211,7 +215,7 @@ def _steps(
         return _after_fault(state, causes, verbs, entry, lock_out)
     mode_name = str(state["mode"])
     if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
-        return Instruction(_HALL), _on_brake_that_fails(state, verbs)
+        return Instruction(_HALL), *_on_brake_that_fails(state, verbs)
     if mode_name == "DISARMED":
         failing = list(((state.get("preflight") or {}).get("failing") or {}).values())
         barred = [Instruction(f"{_sentence(words)}") for words in failing[:2]]
@@ -237,12 +241,12 @@ def _steps(
 def _after_fault(
     state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str], entry: str, lock_out: str
 ) -> tuple[Instruction, ...]:
-    steps = []
+    steps: list[Instruction] = []
     culprit = state.get("culprit")
     culprit = culprit if isinstance(culprit, dict) else {}
     parts = tuple(map(str, culprit.get("parts") or ())) or (HandsAt.RIG,)
     if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
-        steps.append(_on_brake_that_fails(state, verbs))
+        steps += _on_brake_that_fails(state, verbs)
     elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
         unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
         steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
@@ -266,22 +270,22 @@ def _after_fault(
     if entry == LOCK_OUT_FIRST:
         steps.append(Instruction("See that the hall is empty; take the lock-out off."))
     if any(cause.stands and cause.fault == Fault.STROKE_JUMPED.name for cause in causes):
-        steps.append(
-            Instruction("Give the stroke measured at the cylinder: rigctl confirm-stroke MM.", "confirm-stroke")
-        )
+        measured = "Give the stroke measured at the cylinder: rigctl confirm-stroke MM."
+        steps.append(Instruction(measured, "confirm-stroke", ReadAtRig.STROKE))
     if any(cause.stands and cause.fault == Fault.E_STOP.name for cause in causes):
         steps.append(Instruction("Release the emergency stop.", places=(HandsAt.E_STOP,), hands=Hands.RELEASE))
     return *steps, *_reset(state, causes)
 
 
-def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> Instruction:
+def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> tuple[Instruction, ...]:
     """The motor alone can hold the load; where it cannot be switched on, hands do from below."""
     if not verbs["carry"]:
-        return Instruction("The brake does not hold the load: CARRY has the motor hold it, LOWER lowers it.", "carry")
+        carry = Instruction("The brake does not hold the load: CARRY has the motor hold it, LOWER lowers it.", "carry")
+        return carry, _BY_ONE
     slack_s = state.get("slack_s")
     when = f"in about {slack_s:.0f} s" if isinstance(slack_s, int | float) else "at a time that is not known"
     why = f"the brake does not hold it ({verbs['carry']}), and the rope is slack {when}"
-    return Instruction(f"Support the payload from below: {why}.", places=_SUPPORTED, hands=Hands.SUPPORT)
+    return (Instruction(f"Support the payload from below: {why}.", places=_SUPPORTED, hands=Hands.SUPPORT),)
 
 
 def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> tuple[Instruction, ...]:
