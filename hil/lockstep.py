@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import pathlib
-import tempfile
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -26,6 +25,7 @@ from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.ipc.correction import Correction
+from rigctl.ipc.memory_folder import memory_folder
 from rigctl.ipc.record import HOLD_ID
 from rigctl.ipc.runtime_folder import Runtime
 
@@ -34,6 +34,9 @@ STARTING_NS = 500_000_000  # devices that answer at once are up by START_NS
 PASSING_NS = 1_000_000  # step of the rig's time while start-up waits for an answer
 WORK_NS = 100_000  # frames of a tick reach the rig this long after its grid point, as on the bus
 
+HISTORY_S, UNREAD_S = 4, 16
+"""Time that the rings of records and frames hold, and that unread records are kept."""
+_NOTES = 128  # no gateway writes them here; HOLDs are few
 LIMIT_S = 3.0
 ARM_LIMIT_S = 25.0  # slow devices take up to 15 s to send their settings; stop and brake test follow
 
@@ -85,12 +88,17 @@ class Lockstep:
         kept_brake: KeptBrake = KeptBrake(),  # noqa: B008 - frozen
         host_checks: int = 0,
         built: RigSettings | None = None,
+        history_s: int = HISTORY_S,
     ) -> None:
         """``log`` keeps every frame, with its time, in ``frames``. For the other arguments see `Loop`.
 
         ``built``: the rig file that the simulated rig is built by, where the loop believes in another plant.
+        ``history_s``: time that the rings of records and frames hold, for who reads them more seldom.
+
+        Raises:
+            RoomError: the memory of the rings is not free.
         """
-        runtime.make_rings(settings)
+        runtime.make_rings(settings, history_s=history_s, notes=_NOTES)
         self.settings, self.runtime = settings, runtime
         self.rig_ns = START_NS - STARTING_NS
         self.hub = Hub(lambda: self.rig_ns)
@@ -108,6 +116,8 @@ class Lockstep:
         self._pass_time(lambda: False, (START_NS - self.rig_ns) * 1e-9)
         self.clock = self._clock_of_now()
         self._records = runtime.records.reader()
+        self._read_from = settings.loop.rate_hz * history_s // 2  # records that wait
+        self._unread: deque[npt.NDArray[Any]] = deque(maxlen=max(1, 2 * UNREAD_S // history_s))
         self._replies = runtime.replies.reader()
         self._commands = runtime.commands.writer()
         self.holds = GivenHolds()
@@ -142,6 +152,8 @@ class Lockstep:
     def tick(self) -> None:
         """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
         self.loop.tick()
+        if self._records.head - self._records.cursor >= self._read_from:
+            self._unread.append(self._records.read())
         if self.loop.machine.starts_anew:
             self.start_anew()
 
@@ -190,17 +202,19 @@ class Lockstep:
 
     def run(self, seconds: float) -> npt.NDArray[Any]:
         """Run for ``seconds`` of simulated time; returns the records of that time."""
-        self._records.read()
+        self.read_records()
         slots = []
         for i in range(round(seconds * self.settings.loop.rate_hz)):
             self.tick()
             if i % 1000 == 999:
-                slots.append(self._records.read())
-        return np.concatenate([*slots, self._records.read()])
+                slots.append(self.read_records())
+        return np.concatenate([*slots, self.read_records()])
 
     def read_records(self) -> npt.NDArray[Any]:
-        """Records written since they were last read (the ring holds the last seconds only)."""
-        return self._records.read()
+        """Records written since they were last read, of the last ``UNREAD_S``."""
+        records = np.concatenate([*self._unread, self._records.read()])
+        self._unread.clear()
+        return records
 
     def inject(self, frame: bytes) -> None:
         """Put a frame on the bus as a foreign node would."""
@@ -276,13 +290,17 @@ def lockstep(
     kept_brake: KeptBrake = KeptBrake(),  # noqa: B008 - frozen
     host_checks: int = 0,
     built: RigSettings | None = None,
+    history_s: int = HISTORY_S,
 ) -> Iterator[Lockstep]:
-    """A `Lockstep` whose rings are removed afterwards."""
-    with tempfile.TemporaryDirectory(prefix="rigctl-lockstep-", dir="/dev/shm") as folder:
-        runtime = Runtime(pathlib.Path(folder))
+    """A `Lockstep` whose rings are removed afterwards.
+
+    Raises:
+        RoomError: the memory of its rings is not free.
+    """
+    with memory_folder("rigctl-lockstep-") as folder:
         subject = Lockstep(
-            settings, gains, runtime, log=log, law=law, correction=correction, last_stroke=last_stroke,
-            kept_brake=kept_brake, host_checks=host_checks, built=built,
+            settings, gains, Runtime(folder), log=log, law=law, correction=correction, last_stroke=last_stroke,
+            kept_brake=kept_brake, host_checks=host_checks, built=built, history_s=history_s,
         )  # fmt: skip
         try:
             yield subject

@@ -24,6 +24,7 @@ from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.design.verdict import Design
 from rigctl.ipc.correction import Correction
+from rigctl.ipc.runtime_folder import RoomError
 
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"
@@ -99,6 +100,7 @@ def play(
     Raises:
         ScenarioError: the rig cannot be simulated or its design is refused (2), or it does not get as far as
             COMPENSATING (1). A trip during the run is a result, not an error.
+        RoomError: the memory of the loop's rings is not free.
     """
     advance = progress or _nothing
     if controller == "locked":
@@ -110,6 +112,8 @@ def play(
         advance(0.0, PREPARING)
         try:
             rig = stack.enter_context(lockstep(believed, designed, law=law, built=settings, correction=correction))
+        except RoomError:
+            raise
         except (ValueError, OSError) as error:
             raise ScenarioError([f"{settings.rig}: {error}"]) from None
         bring_to_target(rig, target_n, settle_s, advance)

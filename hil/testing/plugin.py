@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pathlib
 import re
 from collections.abc import Callable, Iterator
@@ -37,8 +38,10 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) -> Iterator[None]:
-    """Keep picture and recording of a test that has failed."""
+    """Keep picture and recording of a test that has failed; a lack of memory for its rig is one line."""
     report: Any = yield
+    if call.excinfo is not None and (words := _no_room(call.excinfo.value)):
+        report.longrepr = words
     if call.when == "call" and report.failed:
         folder = item.config.rootpath / str(item.config.getini("hil_results")) / _name(item.nodeid)
         for fixture in FIXTURES:
@@ -46,6 +49,15 @@ def pytest_runtest_makereport(item: pytest.Item, call: pytest.CallInfo[None]) ->
             if hasattr(rig, "keep"):
                 report.sections.append((fixture, _kept(rig, folder, item.name)))
     return report  # type: ignore[no-any-return]
+
+
+def _no_room(error: BaseException) -> str:
+    """What memory a rig needs and what is free, if the test has failed for that; else ""."""
+    if not isinstance(error, OSError) or error.errno != errno.ENOSPC:
+        return ""
+    from rigctl.ipc.runtime_folder import RoomError
+
+    return f"{error.filename}: {error.strerror}" if isinstance(error, RoomError) else ""
 
 
 def _kept(rig: LockstepRig | RealTimeRig, folder: pathlib.Path, title: str) -> str:

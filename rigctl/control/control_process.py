@@ -33,7 +33,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.hold_socket import give, socket_name
 from rigctl.ipc.ledger import in_force
-from rigctl.ipc.runtime_folder import REFUSED, FolderError, Runtime
+from rigctl.ipc.runtime_folder import REFUSED, FolderError, RoomError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 
 WARM_UP_TICKS = 50
@@ -68,11 +68,15 @@ def open_bus(settings: RigSettings) -> can.BusABC:
 
 
 def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
-    """Run every path of the tick on a bus of its own, so that no real tick is the first to execute its code."""
+    """Run every path of the tick on a bus of its own, so that no real tick is the first to execute its code.
+
+    Raises:
+        RoomError: the memory of its rings is not free.
+    """
     runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
     runtime.directory.mkdir(mode=0o700)
     try:
-        runtime.make_rings(settings)
+        runtime.make_rings(settings, history_s=1)
         bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
         clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
@@ -171,7 +175,12 @@ def run(directory: str) -> int:
         bus.shutdown()
         return EXIT_CANNOT_START  # the supervisor has ended or refused the design
     gains = msgspec.json.decode(line, type=ScheduledGains)
-    warm_up(settings, gains, runtime, report.process_data)
+    try:
+        warm_up(settings, gains, runtime, report.process_data)
+    except RoomError as error:
+        bus.shutdown()
+        _refuse(runtime, f"{settings.rig}: {error.strerror}")
+        return EXIT_CANNOT_START
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
     correction, kept = in_force(runtime).correction, last_stroke.in_force(runtime)

@@ -103,7 +103,7 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
         raise DemoError(f"no design: {error}") from None
     if not design.accepted:
         raise DemoError(design.verdict())
-    with lockstep(believed, design.gains, built=settings) as rig:
+    with lockstep(believed, design.gains, built=settings, history_s=settings.telemetry.history_s) as rig:
         stage = LockstepStage(rig, _recorded(rig, design.as_dict()) if settings.recording.enabled else None)
         stage.pass_time(0.2)
         play(stage, demo, show)

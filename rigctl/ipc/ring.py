@@ -35,14 +35,13 @@ def create(
     dtype: np.dtype[Any],
     capacity: int,
     *,
-    reserve: bool = False,
     mode: int = 0o600,
     group: int = -1,
 ) -> None:
     """Make an empty ring of ``capacity`` slots of ``dtype``, whose first field is ``seq`` (u64).
 
-    ``reserve``: allocate its memory now. Without it pages are allocated as they are written, and a memory-backed disk
-    that is full by then ends the writer with SIGBUS. ``group``: of the file, else this process's.
+    Its memory is allocated now: a page allocated when it is first written ends the writer with SIGBUS if the
+    memory-backed disk is full by then. ``group``: of the file, else this process's.
 
     Raises:
         OSError: there is no room, or the folder is gone.
@@ -58,8 +57,7 @@ def create(
             os.fchown(fd, -1, group)
         os.fchmod(fd, mode)
         file.truncate(size)
-        if reserve:
-            os.posix_fallocate(fd, 0, size)
+        os.posix_fallocate(fd, 0, size)
         file.write(_HEADER.pack(_MAGIC, dtype.itemsize, capacity, 0))
     part.rename(path)
 

@@ -55,6 +55,7 @@ __all__ = [
     "AlreadyRunningError",
     "FolderError",
     "RingFile",
+    "RoomError",
     "Runtime",
     "daemon_pid",
     "daemons",
@@ -67,6 +68,7 @@ BASE = layout.SHARED_MEMORY
 """Parent of the folders of the daemons that users start on this computer; anyone may make a folder there."""
 PUBLIC_MODE = 0o644
 """Mode of a file that everyone who may enter the folder may read."""
+_MORE = " (a container: start it with a larger --shm-size, Docker's default is 64 MB)"
 _SMALL_RING = 4096
 _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
@@ -85,10 +87,14 @@ class AlreadyRunningError(RuntimeError):
     """Another daemon holds this rig."""
 
 
-def frames_held(settings: RigSettings) -> int:
-    """Frames a fully loaded bus carries while the ring of records fills."""
+class RoomError(OSError):
+    """The memory of the rings is not free; ``strerror`` states what they need and what is free."""
+
+
+def frames_held(settings: RigSettings, history_s: int) -> int:
+    """Frames a fully loaded bus carries in ``history_s``."""
     rate_hz = (settings.can.bitrate_bit_s or _FASTEST_BIT_S) // _SHORTEST_FRAME_BITS
-    return rate_hz * settings.telemetry.history_s
+    return rate_hz * history_s
 
 
 def recorded() -> list[dict[str, Any]]:
@@ -335,22 +341,38 @@ class Runtime(FolderFiles):
                     return f"{path.name} in it has been replaced or damaged"
         return ""
 
-    def make_rings(self, settings: RigSettings, *, reserve: bool = False) -> None:
-        """Make fresh, empty rings. ``reserve``: allocate their memory now, so that no writer finds it full later.
+    def make_rings(self, settings: RigSettings, *, history_s: int | None = None, notes: int = _NOTES) -> None:
+        """Make fresh, empty rings and allocate their memory, so that no writer finds it full later.
+
+        Args:
+            settings: of the rig.
+            history_s: time that the rings of records and frames hold, else the settings'.
+            notes: slots of each ring whose writer is another process than the loop.
 
         Raises:
-            OSError: there is no room.
+            RoomError: their memory is not free.
+            OSError: the folder cannot be written.
         """
+        history_s = history_s or settings.telemetry.history_s
         capacities = {
-            self.records: settings.loop.rate_hz * settings.telemetry.history_s,
-            self.events: _SMALL_RING, self.commands: _SMALL_RING, self.holds: _NOTES, self.replies: _SMALL_RING,
-            self.notes: _NOTES, self.requests: _NOTES, self.supervision: _NOTES, self.frames: frames_held(settings),
+            self.records: settings.loop.rate_hz * history_s, self.frames: frames_held(settings, history_s),
+            self.events: _SMALL_RING, self.commands: _SMALL_RING, self.replies: _SMALL_RING,
+            self.holds: notes, self.notes: notes, self.requests: notes, self.supervision: notes,
         }  # fmt: skip
-        for ring, capacity in capacities.items():
-            group = writers.group_id(writers.GROUP_OF.get(ring.path.name, "")) if self._shared else -1
-            # Everyone who may enter the folder of the rings may read, and besides the supervisor only the group writes.
-            mode = self.file_mode if group < 0 else 0o664
-            create(ring.path, ring.slot.dtype, capacity, reserve=reserve, mode=mode, group=group)
+        disk = os.statvfs(self.directory)
+        try:
+            for ring, capacity in capacities.items():
+                group = writers.group_id(writers.GROUP_OF.get(ring.path.name, "")) if self._shared else -1
+                # Everyone who may enter the folder of the rings may read; besides the supervisor only the group writes.
+                mode = self.file_mode if group < 0 else 0o664
+                create(ring.path, ring.slot.dtype, capacity, mode=mode, group=group)
+        except OSError as error:
+            if error.errno != errno.ENOSPC:
+                raise
+            needed = sum(capacity * ring.slot.dtype.itemsize for ring, capacity in capacities.items())
+            free = disk.f_bavail * disk.f_frsize
+            words = f"the rings need {needed / 1e6:.1f} MB, {free / 1e6:.1f} MB are free{_MORE}"
+            raise RoomError(error.errno, f"{error.strerror}: {words}", f"{self.directory}") from None
         self._rings = {ring.path: identity(ring.path) for ring in capacities}
 
     def remove(self) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +28,7 @@ from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.memory_folder import memory_folder
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder.recording import Recording
@@ -160,11 +160,14 @@ def play(
         span: the process to replay.
         settings: replace those recorded.
         gains: replace those recorded.
+
+    Raises:
+        RoomError: the memory of the loop's rings is not free.
     """
     settings, gains = settings or span.settings, gains or span.gains
-    with tempfile.TemporaryDirectory(prefix="rigctl-replay-", dir=_memory()) as folder:
-        runtime = Runtime(pathlib.Path(folder))
-        runtime.make_rings(settings)
+    with memory_folder("rigctl-replay-") as folder:
+        runtime = Runtime(folder)
+        runtime.make_rings(settings, history_s=-(-2 * BATCH_TICKS // settings.loop.rate_hz))
         clock, bus, holds = RecordedClock(span.started_ns), RecordedBus(), GivenHolds()
         loop = Loop(
             settings, gains, bus, clock, Rings.of(runtime),
@@ -195,9 +198,3 @@ def play(
                     batch, now = [], []
         finally:
             bus.shutdown()
-
-
-def _memory() -> str | None:
-    """A folder in memory, if there is one."""
-    folder = pathlib.Path("/dev/shm")
-    return str(folder) if folder.is_dir() else None

@@ -157,7 +157,7 @@ class Supervisor:
     def _make_rings(self) -> tuple[RingReader, RingReader]:
         """Create the rings; returns readers of records and events."""
         try:
-            self._runtime.make_rings(self.settings, reserve=True)
+            self._runtime.make_rings(self.settings)
             self._supervision = Supervision(self._runtime.supervision.writer())
             self._progress = Progress(self._runtime, SUPERVISOR, feeds=False)
             return self._runtime.records.reader(), self._runtime.events.reader()

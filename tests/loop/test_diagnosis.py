@@ -116,7 +116,7 @@ def test_the_report_of_a_recording_names_the_culprit_of_its_trip(
 ) -> None:
     kept = settings.recording.model_copy(update={"folder": str(tmp_path), "free_mib": 1})
     settings = settings.model_copy(update={"recording": kept})
-    with lockstep(settings, gains) as rig:
+    with lockstep(settings, gains, history_s=settings.telemetry.history_s) as rig:
         document = {"settings": settings.model_dump(mode="json"), "design": {"gains": msgspec.to_builtins(gains)}}
         rig.runtime.write_json(ACTIVE, document)
         recording = Continuous(rig.runtime, settings, 7, time.time_ns())

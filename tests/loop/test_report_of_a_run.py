@@ -30,7 +30,7 @@ def run(
     kept = settings.recording.model_copy(update={"folder": str(folder), "free_mib": 1})
     settings = settings.model_copy(update={"recording": kept})
     truth: dict[int, float] = {}
-    with lockstep(settings, gains) as rig:
+    with lockstep(settings, gains, history_s=settings.telemetry.history_s) as rig:
         document = {"settings": settings.model_dump(mode="json"), "design": {"gains": msgspec.to_builtins(gains)}}
         rig.runtime.write_json(ACTIVE, document)
         recording = Continuous(rig.runtime, settings, 7, time.time_ns())

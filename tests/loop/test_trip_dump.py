@@ -71,7 +71,7 @@ class Kept:
 @pytest.fixture
 def kept(settings: RigSettings, gains: Gains, tmp_path: pathlib.Path) -> Iterator[Kept]:
     """COMPENSATING at 60 N, with every frame of the bus logged by the bus itself."""
-    with lockstep(settings, gains, log=True) as rig:
+    with lockstep(settings, gains, log=True, history_s=settings.telemetry.history_s) as rig:
         found = Kept(rig, tmp_path)
         rig.run(0.2)
         assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
@@ -190,7 +190,7 @@ def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
 def test_a_dump_of_a_young_loop_comes_out_bit_identical(
     settings: RigSettings, gains: Gains, tmp_path: pathlib.Path
 ) -> None:
-    with lockstep(settings, gains) as rig:
+    with lockstep(settings, gains, history_s=settings.telemetry.history_s) as rig:
         rig.loop._orders.host_checks = int(Check.HOST)  # as the control process begins
         kept = Kept(rig, tmp_path)
         active = rig.runtime.read_json(ACTIVE)

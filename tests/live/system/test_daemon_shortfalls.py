@@ -141,7 +141,10 @@ def test_a_low_limit_of_open_files_is_one_line(words: tuple[str, ...], limit: in
 @pytest.mark.parametrize(
     ("prepare", "said"),
     [
-        ("mount -t tmpfs -o size=1m tmpfs /dev/shm", "No space left on device"),
+        (
+            "mount -t tmpfs -o size=1m tmpfs /dev/shm",
+            "No space left on device: the rings need 26.4 MB, 1.0 MB are free",
+        ),
         ("mount -t tmpfs -o ro tmpfs /dev/shm", "Read-only file system"),
         ("mount -t tmpfs tmpfs /dev && mknod -m 666 /dev/null c 1 3", "No such file or directory"),
         ("mkdir /dev/shm/rigctl-NAME && chmod 777 /dev/shm/rigctl-NAME", "found mode 0777, expected"),

@@ -21,7 +21,7 @@ def runtime(tmp_path: pathlib.Path) -> Runtime:
     """A claimed run-time folder with its rings."""
     found = Runtime(tmp_path / "rigctl-rig")
     found.claim()
-    found.make_rings(SETTINGS, reserve=True)
+    found.make_rings(SETTINGS)
     return found
 
 
