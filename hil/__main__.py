@@ -389,7 +389,7 @@ def _inject(
     for_: Annotated[
         float | None, number_option(TypedNumber("seconds"), "--for", metavar="S", help="seconds; else until --end")
     ] = None,
-    end: Annotated[bool, typer.Option("--end", help="end the fault that stands")] = False,
+    end: Annotated[bool, typer.Option("--end", help="end the fault that is active")] = False,
     list_: Annotated[bool, typer.Option("--list", help="print the faults that can be put into a running rig")] = False,
 ) -> None:
     """Put a fault of the catalogue into the simulated rig that runs (python -m hil serve), for a while or until --end.

@@ -13,6 +13,7 @@ from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.client.connection import Client
 from rigctl.client.samples import Blocks
+from rigctl.config import quantity
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.ipc.ring import RingReader
@@ -95,7 +96,7 @@ def _play(rig: Live, client: Client, count: int, advance: Advance) -> Figures:
     _listen(stream, loop, QUIET_S)
     quiet = [loop.take()]
     for i in range(count):
-        advance(1.0, f"gateway killed {i + 1} times")
+        advance(1.0, f"gateway killed {quantity.count(i + 1, 'time')}")
         _kill(rig, stream, loop)
         _listen(stream, loop, BETWEEN_S)
     killed = loop.take()

@@ -149,7 +149,7 @@ DRIVE = (
     CYLINDER_DRIVE.emergency_vendor("and it goes on"),
     CYLINDER_DRIVE.emergency_none(),
     CYLINDER_DRIVE.emergency(
-        "an emergency message says that one error is over, and its register that others stand (0x0000, register 0x09)",
+        "an emergency message says that one error is over, its register that others are active (0x0000, register 0x09)",
         "emergency_remains",
         0,
         0x09,

@@ -58,8 +58,9 @@ def alarms(
 ) -> None:
     """Show the alarms, or acknowledge or shelve one; every display of the rig follows.
 
-    One row for each cause: priority, how often, since when, and what to do. The exit code is 1 while one stands.
-    A shelved alarm comes back when its time is over. None of this moves the rig or takes the lease.
+    One row for each cause: priority, how often, since when, and what to do. The exit code is 1 while one of them is
+    active and not shelved. A shelved alarm comes back when its time is over. None of this moves the rig or takes the
+    lease.
     """
     if (cause is None) != (act is AlarmTask.SHOW):
         end(USAGE, "found a cause, expected none with show" if cause else f"found no cause, expected {act.value} CAUSE")

@@ -25,7 +25,7 @@ def refusal(rig: str) -> str:
         newest = runtime.records.reader().latest()
         runtime.leave()
     except (OSError, FolderError, RingError) as error:
-        return f"{rig}: cannot be read whether the motor carries a load ({error}): bring it to DISARMED first, {_OR}"
+        return f"{rig}: it cannot be read whether the motor carries a load ({error}): bring it to DISARMED first, {_OR}"
     if newest is None or time.monotonic_ns() - int(newest["t_ns"]) > ALIVE_NS:
         return ""
     if not int(newest["flags"]) & Flag.CARRIES:

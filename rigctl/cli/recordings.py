@@ -30,6 +30,10 @@ Format = Annotated[To, typer.Option("--to", help="What to write.")]
 Out = Annotated[pathlib.Path, typer.Option("-o", "--out", metavar="FOLDER", help="New folder to write.")]
 
 
+_LOGS = {"desk": "requests and answers"}
+"""Topics whose name does not say what is in them."""
+
+
 def info(files: Files, run: Run = False, json: Json = False) -> None:
     """Show what is in a recording: times, modes, events, gaps, documents, versions, and whether it is complete."""
     from rigctl.recorder.contents import figures
@@ -88,12 +92,11 @@ def _lines(found: dict[str, Any]) -> list[str]:
     for number, mode in enumerate(found["modes"]):
         fault = f"  {mode['fault']}" if mode["fault"] else ""
         row("" if number else "modes", f"{mode['t_s']:10.3f} s  {mode['mode']:<12} {mode['for_s']:10.3f} s{fault}")
-    row("said", ", ".join(f"{count} {topic}" for topic, count in found["said"].items()) or "nothing")
+    row("log", ", ".join(f"{_LOGS.get(topic, topic)} {count}" for topic, count in found["said"].items()) or "nothing")
     row("events", ", ".join(f"{count} {what}" for what, count in found["events"].items()) or "none")
     for number, gap in enumerate(found["gaps"]):
-        row(
-            "" if number else "GAPS", f"{gap['t_s']:10.3f} s  {gap['count']} {gap['ring']} missing after {gap['after']}"
-        )
+        slots = quantity.count(gap["count"], "slot")
+        row("" if number else "GAPS", f"{gap['t_s']:10.3f} s  {slots} of {gap['ring']} missing after {gap['after']}")
     if not found["gaps"]:
         row("gaps", "none")
     starts = found["control_starts_s"]

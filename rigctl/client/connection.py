@@ -52,7 +52,7 @@ from rigctl.wire.user_name import user_name, with_user
 
 _AGAIN_S = 0.05
 ABSENT = "absent, or not allowed"  # an access list refuses without an answer
-FORMER = "the daemon is of a version before: restart the daemon to command it"
+FORMER = "the daemon is of an earlier version: restart the daemon to command it"
 OPEN_S = 2.0
 ASK_S = 2.0
 COMMAND_S = 6.0  # the gateway answers within 4 s

@@ -136,7 +136,7 @@ def in_words(found: list[dict[str, Any]], pairs: Pairs) -> str:
     def say(key: str, name: str, unit: str, factor: float = 1.0) -> str:
         row = shown[key]
         if row["found"] is None:
-            return f"{name} not told ({row['why']})"
+            return f"{name} not known ({row['why']})"
         value, error = rounded(factor * row["found"], factor * (row["error"] or 0.0))
         return f"{name} {value} +- {error} {unit}"
 

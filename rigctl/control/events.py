@@ -238,7 +238,7 @@ def refusal_text(
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
             return (
-                f"the drive's position says {value:z.2f} mm, expected within {TOLERANCE_MM:g} mm of the stroke "
+                f"the drive's position is {value:z.2f} mm, expected within {TOLERANCE_MM:g} mm of the stroke "
                 "measured: measure it again, or home the drive with its own tool"
             )
         case Refusal.CAUSE_PRESENT:
@@ -270,7 +270,7 @@ _DRIVE_TEXT = {
 def _drive_state(value: float) -> str:
     """The drive's state in words, for the end of a sentence; "" where none is known."""
     known = {float(state): state for state in DriveState}
-    return f": it is in {known[value].name.replace('_', ' ')}" if value in known else ""
+    return f": it now reports {known[value].name.replace('_', ' ')}" if value in known else ""
 
 
 _RANGES: dict[Verb, str] = {
@@ -289,7 +289,7 @@ _PLAIN_TEXT = {
     Refusal.STOPPING: "daemon is stopping",
     Refusal.EXPIRED: "command came too late and was not carried out",
     Refusal.ABORTED: "cut short by a command, a trip or a change of mode; nothing was changed",
-    Refusal.UNSTEADY: "it moves, or the reading does: wait until everything is at rest",
+    Refusal.UNSTEADY: "the stroke or the cell's reading moves: wait until everything is at rest",
     Refusal.NO_SAMPLES: "the cell gives no good samples",
     Refusal.SLACK: "the rope is slack",
     Refusal.NO_STEP: "no weight was hung on the cell, or taken off it, 2 s to 2 min after the command",
@@ -299,8 +299,8 @@ _PLAIN_TEXT = {
     Refusal.NO_BRAKE: "the rig has no brake to test (cylinder.brake_waiver): the motor holds the load",
     Refusal.LITTLE_LOAD: "a brake test needs at least {:.0f} N on the rope to show that the brake holds: rigctl "
     "target, then rigctl tension, which ends in HOLD",
-    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; it was ended",
-    Refusal.UNFELT: "the stroke moved and the cell did not show it: look at cell and rope; it was ended",
+    Refusal.STRAYED: "tension or stroke left the bounds of the excitation, or would have; the excitation was ended",
+    Refusal.UNFELT: "the stroke moved and the cell did not show it: look at cell and rope; the excitation was ended",
 }
 _UNSEEN = (
     Check.DRIVE_SUPERVISION
@@ -326,8 +326,9 @@ _HINT: dict[tuple[Mode, Verb], str] = {
     (Mode.DISARMED, Verb.BRAKE_TEST): ": arm on a tight rope tests it",
     **{
         (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
-        for mode in (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
+        for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
     },
+    (Mode.HOLD, Verb.CONFIRM_STROKE): ": disarm first",
     **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
 }
 
@@ -335,18 +336,19 @@ _HINT: dict[tuple[Mode, Verb], str] = {
 _WITNESS: dict[int, str] = {Witness.ENCODER: "encoder", Witness.CELL: "cell"}
 _HELD_TEXT: dict[HeldBy, str] = {
     HeldBy.NOTHING: "the motor moves the load",
-    HeldBy.MOTOR: "held by the motor",
+    HeldBy.MOTOR: "load held by the motor",
     HeldBy.CLOSING: "the drive stops and closes its brake",
-    HeldBy.BRAKE: "held by the brake, drive off",
+    HeldBy.BRAKE: "load held by the brake, drive off",
     HeldBy.TAKING: "the motor takes the load from the brake",
-    HeldBy.UNKNOWN: "not known: the drive does not report, or the load is not seen at rest on the closed brake",
+    HeldBy.UNKNOWN: "not known what holds the load: the drive does not report, or the load is not seen at rest on the "
+    "closed brake",
 }
 
 
 def _held(_a: int, b: int, value: float, _limit: float, text: str) -> Worded:
     longest = f", for at most {value:.0f} s" if value else ""
     severity = "warning" if b == HeldBy.UNKNOWN else "info"
-    return Worded(severity, f"{text}: load {_HELD_TEXT[HeldBy(b)]}{longest}")
+    return Worded(severity, f"{text}: {_HELD_TEXT[HeldBy(b)]}{longest}")
 
 
 _LEAVES = "the daemon ends and leaves {1:.0f} N to the brake, which may not hold it: support the payload from below"
@@ -437,7 +439,7 @@ _SYMPTOM_TEXT: dict[Symptom, str] = {
     "held",
     Symptom.RAMP_LATE: "the rope is not slack {0:.1f} s after the ramp down should have ended (limit {1:.1f} s); the "
     "stroke is held",
-    Symptom.HOLD_RISES: "the tension is above its limit and has risen by {0:.1f} N since the stroke is held (limit "
+    Symptom.HOLD_RISES: "the tension is above its limit and has risen by {0:.1f} N while the stroke was held (limit "
     "{1:.1f} N); quick stop, then power off",
     Symptom.HOLD_MOVES: "the stroke moves at {0:.2f} mm/s though it is held (limit {1:.2f} mm/s); quick stop, then "
     "power off",
@@ -483,7 +485,7 @@ def _brake_fails(*, assumed: bool, tension_n: float, wanted_n: float, why: str) 
 def _creep(a: int, _b: int, value: float, _limit: float, text: str) -> Worded:
     if not text:
         return Worded("info", "tension cell: no creep is taken out")
-    history = "" if a else "; the load before is not known, taken as always the present one"
+    history = "" if a else "; the load before is not known and is taken to have been the present one"
     return Worded("info", f"tension cell: creep of {100.0 * value:z.4f} % is taken out (shares and s: {text}){history}")
 
 
@@ -528,7 +530,9 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
         "info", f"fault {Fault(a).name} reset: the loop ends, the next one starts all devices up and is DISARMED"
     ),
     Kind.EMERGENCY: _emergency,
-    Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded("info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, b)}"),
+    Kind.NODE_STATE: lambda a, b, _v, _l, _t: Worded(
+        "info" if b == 5 else "warning", f"node {a}: {_NMT.get(b, f'unknown state {b}')}"
+    ),
     Kind.EXCEPTION: lambda _a, _b, _v, _l, t: Worded("error", f"exception in the loop: {t}"),
     Kind.BUS_ERROR: lambda a, b, _v, _l, _t: Worded(
         "error" if can_errors.is_grave(a) else "warning", f"CAN error frame: {can_errors.in_words(a, b)}"

@@ -138,7 +138,7 @@ class Fault(IntEnum):
     # A shorter rope does not pull harder, or by far more or less than the plant's stiffness
     SIGN_CELL = (
         17,
-        "the tension does not follow the stroke as the plant says{found}: check signs and scales of cell and drive",
+        "the tension does not follow the stroke as the plant would{found}: check signs and scales of cell and drive",
         "Correct the cell's sign, the drive's units or the plant's stiffness (mechanism_n_mm too) in the rig file.",
     )
     # A row of the rig file's limits; the trip's event names it
@@ -203,8 +203,8 @@ class Fault(IntEnum):
     # Cell, inclinometer or I/O node has sent an emergency message and not withdrawn it
     SENSOR_EMERGENCY = (
         26,
-        "a sensor's emergency message is active ({emergency})",
-        "Read the emergency code in the events, and the sensor's manual.",
+        "a device's emergency message is active ({emergency})",
+        "Read the emergency code in the events, and the device's manual.",
         Trait.BLOCKS_RESET,
     )
     # The drive has sent an emergency message and not withdrawn it
@@ -275,7 +275,7 @@ class Fault(IntEnum):
     # The drive reports that it does not do as commanded: statusword bits 9, 11, 12
     DRIVE_REFUSES = (
         36,
-        "drive says that {text}",
+        "drive reports that {text}",
         "Withdraw the drive's panel or service tool; look at its display.",
         Trait.BLOCKS_RESET,
     )
@@ -335,7 +335,7 @@ class Fault(IntEnum):
     # What SYNC latches has stopped at every device, though the bus is alive
     SYNC_LOST = (
         55,
-        "no device answers SYNC since {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
+        "no device has answered SYNC for {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
         "Find what keeps SYNC from the devices (cable, gateway, 0x1005); the drive keeps its last speed without it.",
         Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
     )

@@ -73,8 +73,8 @@ def words(code: int, register: int, manufacturer: bytes) -> str:
     if not stands(code, register):
         return "emergency over" if not code else f"emergency over (0x{code:04X})"
     found = register_words(register)
-    if any(manufacturer) or code >> 8 == _SPECIFIC:
+    if any(manufacturer) or (manufacturer and code >> 8 == _SPECIFIC):
         found += f"; manufacturer's bytes {manufacturer.hex(' ')}"
     if not code >> 8:
-        return f"one emergency is over (0x{code:04X}), others stand: {found}"
+        return f"one emergency is over (0x{code:04X}), others are active: {found}"
     return f"emergency 0x{code:04X}, {code_words(code)}; {found}"

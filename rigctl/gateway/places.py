@@ -24,7 +24,7 @@ class Why(StrEnum):
 
     UNKNOWN = "its certificate is revoked, expired or not known"
     SHARE = f"more than {SHARE} sessions of one identity; its oldest is closed for its newest"
-    POOL = f"more than {POOL} sessions without places of their own; the oldest of who has the most is closed"
+    POOL = f"more than {POOL} sessions without places of their own; the oldest of the identity with the most is closed"
     LATE = f"no session within {OPENING_S:g} s"
     OPENING_OF_SOURCE = f"more than {OPENING_OF_SOURCE} connections of one source without a session; its oldest goes"
     OPENING = f"more than {OPENING} connections without a session; the oldest of the source with the most is closed"

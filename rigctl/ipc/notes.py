@@ -61,9 +61,12 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
         case Note.HOLD_WITHOUT_LEASE:
             return "info", f"HOLD given by {operator} without a lease; nobody holds it"
         case Note.TOO_MANY_COMMANDS:
-            return "warning", f"{reason} from {operator or 'nobody'} refused: too many; HOLD is taken all the same"
+            return (
+                "warning",
+                f"{reason} from {operator or 'an unknown operator'} refused: too many; HOLD is taken all the same",
+            )
         case Note.MESSAGE_REFUSED:
-            return "warning", f"{reason} by {operator or 'nobody known'} ({other}) refused: not allowed"
+            return "warning", f"{reason} by {operator or 'an unknown client'} ({other}) refused: not allowed"
         case Note.CONNECTION_REFUSED | Note.CONNECTION_CLOSED:
             done = "closed" if kind is Note.CONNECTION_CLOSED else "refused"
             who = f"{operator} ({other})" if operator and other else operator or other or "an unknown client"
@@ -71,7 +74,7 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
         case Note.FOREIGN_MESSAGE:
             return (
                 "warning",
-                f"{reason} by {operator or 'somebody'} other than the daemon: not believed on this computer",
+                f"{reason} by {operator or 'another program'}, not by the daemon: not believed on this computer",
             )
         case _:
             severity, words = _WORDS[kind]

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from rigctl.config import quantity
 from rigctl.config.quantity import significant
 from rigctl.control.events import Kind, failed_checks
 from rigctl.control.faults import Fault
@@ -182,7 +183,8 @@ class AuditedRings:
         if not count:
             return items
         t_ns = items[0].t_ns if items else 0
-        text = f"{count} slots of the ring {source.name} were overwritten before they were read"
+        slots = quantity.count(count, "slot")
+        text = f"{slots} of the ring {source.name} {'was' if count == 1 else 'were'} overwritten before being read"
         details = {
             "count": count,
             "ring": source.name,

@@ -438,15 +438,16 @@ class Supervisor:
                 child.retry_at = now + wait
                 how = f"killed by signal {-code}" if code < 0 else f"ended with code {code}"
                 how = "ended to start all devices up again" if code == EXIT_STARTS_ANEW else how
-                comes = "comes back DISARMED" if child.name == "control" else "comes back, the loop is unaffected"
+                then = "comes back DISARMED" if child.name == "control" else "comes back"
                 if why := self._why_refused(child):
-                    how, comes = f"could not start: {why}", "is started anew, DISARMED,"
+                    how, then = f"could not start: {why}", "is started anew, DISARMED,"
                 if child.hung:
                     how = f"hung, without progress for {HUNG_S:g} s, and was killed"
+                words = f"{how}; {then} in {wait:g} s{'' if child.name == 'control' else '; the loop is unaffected'}"
                 if child.failures > LOOPING:
-                    comes += f" (it has ended {child.failures} times in a row, see what it said)"
-                self._note(Doing.PROCESS_ENDED, child.name, f"{how}; {comes} in {wait:g} s")
-                self._say(f"WARNING: {child.name} process {how}; {comes} in {wait:g} s")
+                    words += f" (it has ended {child.failures} times in a row: read its messages)"
+                self._note(Doing.PROCESS_ENDED, child.name, words)
+                self._say(f"WARNING: {child.name} process {words}")
             elif now >= child.retry_at:
                 self._look_at_active()
                 if child.name == "control":

@@ -117,7 +117,7 @@ NOTES: dict[Note, str] = {
     Note.ENDPOINT_TAKEN: "another program has the endpoint of the network, which a gateway before had; other: it",
     Note.ENDPOINT_BACK: "the endpoint of the network is the daemon's again; other: it",
     Note.CONNECTION_CLOSED: "the gateway closed a connection to keep the places of others; other: who, reason: why",
-    Note.LEASE_NOT_BELIEVED: "what was written down about a lease is none; nobody holds it",
+    Note.LEASE_NOT_BELIEVED: "lease.json holds no lease to be believed; nobody holds the lease",
 }
 
 PAYLOAD: Rows = (

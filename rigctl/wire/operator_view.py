@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.config.quantity import number
+from rigctl.config.quantity import count, number
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
 from rigctl.wire.alarms import Alarm, figure
@@ -294,9 +294,8 @@ def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> tuple[Instr
     blocking = list(dict.fromkeys(cause.fault for cause in causes if cause.stands and cause.blocks_reset))
     if blocking:
         silent = any(Trait.DEVICE_SILENT in Fault[name].traits for name in blocking if name in Fault.__members__)
-        gone = (
-            f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {len(blocking) - 1} more are gone"
-        )
+        others = count(len(blocking) - 1, "other cause")
+        gone = f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {others} are gone"
         anew = (
             (Instruction("Else start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START),)
             if silent

@@ -39,11 +39,12 @@ def test_a_code_of_class_00_is_no_error(rig: Lockstep, node: int, code: int) -> 
 def test_several_errors_of_a_device_are_over_when_its_register_says_so(rig: Lockstep) -> None:
     said = send(rig, CELL, 0x4210, 0x09)
     assert said[0] == "node 2: emergency 0x4210, device temperature; error register 0x09: generic, temperature"
-    assert said[1].endswith("a sensor's emergency message is active (node 2: 0x4210, device temperature)")
+    assert said[1].endswith("a device's emergency message is active (node 2: 0x4210, device temperature)")
     send(rig, CELL, 0x5010, 0x29)
     (said_over,) = send(rig, CELL, 0x0000, 0x09)
     assert (
-        said_over == "node 2: one emergency is over (0x0000), others stand: error register 0x09: generic, temperature"
+        said_over
+        == "node 2: one emergency is over (0x0000), others are active: error register 0x09: generic, temperature"
     )
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert send(rig, CELL, 0x0000, 0x00) == ["node 2: emergency over"]

@@ -66,7 +66,7 @@ export class Session {
       const reply = await fetch(`/api/${what}`, { method: "POST", headers, body: JSON.stringify(body) });
       return { ok: reply.ok, answer: await reply.json() };
     } catch {
-      return { ok: false, answer: { text: "the page server does not answer: what became of it is not known" } };
+      return { ok: false, answer: { text: "the page server does not answer: what became of the request is not known" } };
     }
   }
 }

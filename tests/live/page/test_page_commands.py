@@ -192,7 +192,7 @@ def test_the_daemons_own_page_is_read_only_and_comes_back(chromium: Browser, run
     after = daemons.state(running.file)
     assert after["tick"] > before["tick"]
     assert daemons.frames_lost(running.file) == lost
-    assert "page process killed by signal 9; comes back, the loop is unaffected" in running.log.read_text()
+    assert "page process killed by signal 9; comes back in 0.2 s; the loop is unaffected" in running.log.read_text()
 
 
 def test_a_page_whose_port_is_taken_warns_once_and_waits(running: Running) -> None:

@@ -68,7 +68,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     slow.do("tension", "--wait", "--operator", "anna")
     assert f"{ANNA} holds the lease" in slow.refused("disarm", "--operator", "kim")
     os.kill(recorder_of(file), signal.SIGKILL)
-    until(lambda: "recorder process killed by signal 9; comes back, the loop is unaffected"
+    until(lambda: "recorder process killed by signal 9; comes back in 0.2 s; the loop is unaffected"
                      in slow.log.read_text(), log=slow.log)  # fmt: skip
     slow.rig.send_signal(signal.SIGSTOP)
     until(lambda: daemons.state(file).get("mode") == "FAULT", log=slow.log)

@@ -28,7 +28,7 @@ def test_every_cause_that_stands_is_named_the_strongest_first_with_its_figures_w
     ("mode", "verb", "hint"),
     [
         (Mode.FAULT, Verb.TENSION, ": reset first"), (Mode.DISARMED, Verb.TENSION, ": arm first"),
-        (Mode.COMPENSATING, Verb.DISARM, ": hold first"), (Mode.HOLD, Verb.CONFIRM_STROKE, ": hold, then disarm first"),
+        (Mode.COMPENSATING, Verb.DISARM, ": hold first"), (Mode.HOLD, Verb.CONFIRM_STROKE, ": disarm first"),
         *((mode, Verb.RESET, ": there is no fault") for mode in Mode if mode is not Mode.FAULT),
     ],
 )  # fmt: skip

@@ -26,6 +26,6 @@ def test_a_code_has_the_meaning_that_cia_301_gives_it_or_its_class(code: int, sa
 def test_an_emergency_is_over_only_with_an_empty_register() -> None:
     assert emergency.words(0x0000, 0x00, bytes(5)) == "emergency over"
     assert emergency.words(0x0000, 0x81, bytes(5)) == (
-        "one emergency is over (0x0000), others stand: error register 0x81: generic, manufacturer"
+        "one emergency is over (0x0000), others are active: error register 0x81: generic, manufacturer"
     )
     assert emergency.words(0xFF01, 0x01, bytes(5)).endswith("generic; manufacturer's bytes 00 00 00 00 00")

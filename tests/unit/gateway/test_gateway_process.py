@@ -251,7 +251,7 @@ def test_a_gateway_of_the_version_before_is_read_by_zenoh_and_not_commanded(rig:
         for answer in (client.command("disarm", "kim"), client.take_lease("kim")):
             assert (answer["accepted"], answer["reason"]) == (False, "not_allowed")
             assert answer["text"].endswith(
-                " refused: the daemon is of a version before: restart the daemon to command it"
+                " refused: the daemon is of an earlier version: restart the daemon to command it"
             )
 
 

@@ -113,6 +113,29 @@ def test_every_refusal_check_and_fault_has_its_words() -> None:
     assert {name.split()[2] for name in found if name.startswith("refusal WRONG_MODE")} == {verb.name for verb in Verb}
 
 
+CANNOT_BE = (
+    r"\bsince (?:\d|as long)",  # a time that has passed, for its beginning
+    r"\bload (?:the (?:drive|motor)|not known)",  # two sentences run together
+    r"(?<![\d.])1 (?:ticks|slots|moves|samples|settings|frames|more are)\b",
+    r"bytes $",  # bytes that there are none of
+    r"\b(?:drive|position) says\b|\bas the plant says\b",  # a device reports
+    r"\bnode \d+: \d+$",  # a number in place of a state
+    r" by nobody| from nobody|kim other than",
+    r"\bsensor's (?:manual|emergency)",  # of any device
+)
+
+
+@pytest.mark.parametrize("pattern", CANNOT_BE)
+def test_no_event_refusal_fault_or_note_says_what_cannot_be(pattern: str) -> None:
+    assert [text for text in words.words().values() if re.search(pattern, text)] == []
+
+
+def test_a_hint_leads_on_from_the_mode_it_is_given_in() -> None:
+    refused = [text for name, text in words.words().items() if name.startswith("refusal WRONG_MODE")]
+    for there in ("in HOLD: hold", "in DISARMED: disarm", "in COMPENSATING: tension"):
+        assert not [text for text in refused if there in text]
+
+
 def test_every_command_has_its_help_of_80_columns_without_colour(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "200")
     found = helps(hil_app, PROGRAM)

@@ -13,6 +13,7 @@ import pytest
 from pyarrow import csv
 from scipy.io import loadmat
 
+from rigctl.cli import recordings
 from rigctl.ipc.output_file import OutputError
 from rigctl.ipc.record import RECORD
 from rigctl.recorder import export
@@ -184,6 +185,9 @@ def test_info_says_what_is_in_a_recording(path: pathlib.Path, in_process: Comman
     text = in_process("rigctl", "info", path)
     assert "complete" in text.stdout.splitlines()[0]
     assert said["sha256"] in text.stdout
+    assert "  log       events " in text.stdout
+    shown = recordings._lines({**said, "said": {"desk": 2, "events": 1}})
+    assert "  log       requests and answers 2, events 1" in shown
 
 
 def test_info_of_a_cut_file_says_so_and_is_no_failure(path: pathlib.Path, in_process: Command) -> None:

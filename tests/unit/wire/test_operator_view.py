@@ -82,6 +82,20 @@ def test_a_cause_that_blocks_a_reset_is_named_with_value_limit_and_remedy() -> N
     assert found.does == "stroke to be held: held by the motor"
 
 
+@pytest.mark.parametrize(
+    ("more", "gone"),
+    [
+        (1, "CELL_STALE and 1 other cause are gone"),
+        (2, "CELL_STALE and 2 other causes are gone"),
+    ],
+)
+def test_several_causes_that_block_a_reset_are_counted(more: int, gone: str) -> None:
+    others = [{**STALE, "fault": name} for name in ("INCLINATION_STALE", "DRIVE_STALE")]
+    causes = [STALE, *others[:more]]
+    found = view(state(Mode.FAULT, "drive_enabled", held_by="MOTOR", fault="CELL_STALE", causes=causes))
+    assert f"RESET, once {gone}." in [step.text for step in found.steps]
+
+
 def test_where_nothing_is_heard_of_the_drive_there_is_a_way_to_the_devices() -> None:
     """BUS_SILENT sent people to the devices while they had to keep out, without a lock-out to come in by."""
     unheard = {"tension": "good", "inclination": "good", "drive": "stale"}
