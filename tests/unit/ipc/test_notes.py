@@ -13,6 +13,7 @@ def test_every_note_names_who_it_is_about(note: Note) -> None:
     assert "kim" in said or note in (Note.LEASE_NOT_BELIEVED, Note.ENDPOINT_TAKEN, Note.ENDPOINT_BACK)
 
 
-def test_refused_commands_are_told_with_their_number_and_name_or_that_there_is_none() -> None:
+def test_refused_commands_are_reported_with_their_number_and_name_or_that_there_is_none() -> None:
     assert worded(Note.TOO_MANY_COMMANDS, "kim", "", "12 commands")[1].startswith("12 commands from kim refused")
-    assert worded(Note.TOO_MANY_COMMANDS, "", "", "12 commands")[1].startswith("12 commands from nobody refused")
+    unknown = "12 commands from an unknown operator refused"
+    assert worded(Note.TOO_MANY_COMMANDS, "", "", "12 commands")[1].startswith(unknown)
