@@ -539,6 +539,8 @@ class Loop:
         else:
             latched = math.isfinite(hold.reference_mm)
             self._held_tension.watch(snapshot, 1 + self.observer.just_skipped, latched=latched)
+            if machine.mode is Mode.DISARMED and not machine.taking:  # hands have lifted it off the brake: no loss
+                self._held_tension.lost = False
 
     def _look_at_zero(self, watch: SlackWatch, now_ns: int) -> None:
         """Compare the cell's zero with what a surely slack rope shows, and correct it if the rig file says so."""

@@ -176,6 +176,21 @@ def test_a_load_at_rest_after_a_reset_is_not_judged_by_what_was_before(settings:
         assert rig.loop.machine.fault is Fault.NONE
 
 
+def test_a_payload_that_was_lifted_off_the_brake_is_no_loss_of_the_motor_that_holds_next(
+    settings: RigSettings, gains: Gains
+) -> None:
+    """ARM tripped TENSION_LOW: the tension that the brake had held was still that of the rope."""
+    with lockstep(settings, gains) as rig:
+        bring(rig, Mode.DISARMED)
+        rig.run(3.0)
+        rig.rig.plant.parameters["free_length"] += 100.0
+        rig.run(1.0)
+        assert rig.loop.machine.fault is Fault.NONE
+        assert rig.command(Verb.ARM, limit_s=10.0) is Refusal.NONE
+        rig.run(3.0)
+        assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.HOLD, Fault.NONE)
+
+
 def test_a_slip_unseen_by_the_encoder_is_not_reset_while_it_goes_on(settings: RigSettings, gains: Gains) -> None:
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.DISARMED)
