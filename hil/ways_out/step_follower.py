@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,8 +26,8 @@ from rigctl.wire.trust import doubts
 
 LOOKS_S = 0.1
 """The rig is looked at so often."""
-STEPS = 24
-"""So many looks at the steps have to be enough."""
+STEPS, ALIKE = 24, 4
+"""So many looks at the steps have to be enough, and so many at the same ones."""
 GOES_ON = frozenset({"arm", "tension", "hold"})
 """Commands of steps that go on with the work, or stop it where it is: no way out."""
 CARRY_S = 60.0
@@ -107,14 +108,16 @@ class StepFollower:
 
     def go(self) -> WayOut:
         """Take what is displayed until the rig is out, or until nothing displayed changes anything."""
-        idle = 0
+        idle, seen = 0, Counter[tuple[Instruction, ...]]()
         for _ in range(STEPS):
             if self._is_out():
                 return WayOut(True, "", tuple(self._taken))
             state = self.state()
-            idle = 0 if self._take(view(state).steps) else idle + 1
-            if idle > 1:
-                return WayOut(False, f"{state['mode']}, {state['fault']}: no step changes anything", tuple(self._taken))
+            steps = view(state).steps
+            seen[steps] += 1
+            idle = 0 if self._take(steps) else idle + 1
+            if idle > 1 or seen[steps] > ALIKE:
+                return WayOut(False, f"{state['mode']}, {state['fault']}: no step leads on", tuple(self._taken))
         state = self.state()
         return WayOut(False, f"{state['mode']}, {state['fault']}: after {STEPS} looks", tuple(self._taken))
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode
@@ -75,6 +76,8 @@ class Residuals:
     """Another master was heard, by its commands or by service requests."""
     device: str = ""
     """The device that the trip itself names."""
+    unanswered: bool = False
+    """The drive shows by no change of its state that it has taken the command to stop or to go off."""
     # Tension
     before_n: float = math.nan
     after_n: float = math.nan
@@ -137,7 +140,8 @@ def _devices(window: TripWindow) -> dict[str, object]:
     """Which devices restarted, left OPERATIONAL or report an error, and whether a foreign master was heard."""
     names = {node: name for name, node in window.settings.canopen_nodes.items()}
     trip_ns = window.trip.t_ns
-    booted, left, reported, about_bus, foreign = set(), set(), set(), False, False
+    booted, left, reported = set(), set(), set()
+    about_bus = foreign = unanswered = False
     for event in window.events:
         if event.t_ns < trip_ns - _NEAR_NS:
             continue
@@ -155,11 +159,13 @@ def _devices(window: TripWindow) -> dict[str, object]:
             about_bus |= event.t_ns <= trip_ns + _SHORTLY_NS
         elif event.kind == Kind.FOREIGN_SDO:
             foreign |= event.t_ns <= trip_ns + _SHORTLY_NS
+        elif event.kind == Kind.ESCALATION:
+            unanswered |= event.b in (Symptom.STOP_UNANSWERED, Symptom.OFF_UNANSWERED)
     rival = any(e.kind in (Kind.TRIP, Kind.CAUSE) and e.a == Fault.RIVAL and e.t_ns <= trip_ns + _NEAR_NS
                 for e in window.events)  # fmt: skip
     return {
         "booted": frozenset(booted), "left": frozenset(left - booted), "reported": frozenset(reported),
-        "bus_reported": about_bus, "foreign": foreign or rival,
+        "bus_reported": about_bus, "foreign": foreign or rival, "unanswered": unanswered,
     }  # fmt: skip
 
 
@@ -193,6 +199,8 @@ def _time(window: TripWindow) -> dict[str, object]:
     held = (times[1:] > trip_ns - _NEAR_NS * 2) & (times[1:] <= trip_ns + _SHORTLY_NS)
     # A tick that is missed is skipped on the grid; a gap in what was recorded shows in seq and is no stall.
     whole = np.diff(records["seq"].astype(np.int64)) == 1
+    for begun in (event for event in window.events if event.kind == Kind.STARTED):  # between two loops there is none
+        whole &= (times[1:] < begun.t_ns) | (times[:-1] >= begun.t_ns)
     stalls = steps[held & whole]
     frames = np.diff(records["frames_received"].astype(np.int64)) / np.maximum(np.round(steps / period_ns), 1)
     usual = max(float(np.mean(frames[len(frames) // 8 : len(frames) // 2 + 1])), 1.0)

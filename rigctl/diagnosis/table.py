@@ -283,6 +283,9 @@ TABLE: tuple[Clue, ...] = (
     # The drive, its encoder and the brake
     Clue(Part.DRIVE, "A setting of the drive is not what start-up wrote.", f"{_STAY} {_RESTART}",
         lambda x: _F.SUPERVISION_LOST in x.causes, _MOTION),
+    Clue(Part.DRIVE, "The drive does not show that it takes a command: its reports go on unchanged.",
+        f"{_STAY} Lock the drive out, then switch it off and on again.", lambda x: x.unanswered,
+        frozenset({_F.ENCODER_STUCK, _F.DRIVE_MOTIONLESS, _F.DRIVE_UNASKED})),
     Clue(Part.ENCODER, "The drive's position jumped or was counted anew: {fault_words}.",
         "Measure the stroke at the cylinder once the drive is locked out, then rigctl confirm-stroke MM.", _always,
         frozenset({_F.STROKE_JUMPED, _F.DRIVE_CONTRADICTS})),

@@ -10,6 +10,7 @@ from typing import Any
 from rigctl.config.quantity import count, number
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff
+from rigctl.diagnosis.part import Part
 from rigctl.wire.alarms import Alarm, figure
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.possible_commands import possible
@@ -250,7 +251,7 @@ def _after_fault(
     elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
         unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
         steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
-    elif culprit.get("first"):
+    if culprit.get("first") and not (steps and parts == (Part.BRAKE,)):  # what is left of a brake is said already
         steps.append(Instruction(_sentence(str(culprit["first"])), places=parts, hands=Hands.MEND))
     name = lock_out or "the drive"
     if not steps and "drive" in doubts(state):

@@ -33,6 +33,7 @@ def bench(settings: RigSettings, gains: Gains) -> Bench:
 @pytest.mark.gate(
     "rope_breaks-3-parts0", "cell_sign-3-parts3", "slope_jump-3-parts5", "brake_stuck_closed-3-parts9",
     "controller_hangs-3-parts10", "burst_50ms-3-parts12",
+    "drive_frozen-3-parts13",
 )  # fmt: skip
 @pytest.mark.parametrize(
     ("fault_id", "mode", "parts"),
@@ -50,6 +51,7 @@ def bench(settings: RigSettings, gains: Gains) -> Bench:
         ("controller_hangs", Mode.COMPENSATING, (Part.COMPUTER,)),
         ("bus_stalled", Mode.COMPENSATING, (Part.COMPUTER,)),
         ("burst_50ms", Mode.COMPENSATING, (Part.BUS,)),
+        ("drive_frozen", Mode.COMPENSATING, (Part.DRIVE,)),
     ],
 )
 def test_faults_with_one_symptom_have_culprits_of_their_own(

@@ -73,7 +73,7 @@ def test_a_step_that_is_not_displayed_is_found_to_be_missing(
     assert faults_ways_out.run(RIG, file, ["cell_stuck"], [Mode.HOLD.name]) == 1
     out = capsys.readouterr().out
     assert "cell_stuck in HOLD\n  ends in FAULT, CELL_STUCK, HOLD, held by " in out
-    assert "  no way out: FAULT, CELL_STUCK: no step changes anything\n" in out
+    assert "  no way out: FAULT, CELL_STUCK: no step leads on\n" in out
     monkeypatch.undo()
     lines = [line for line in file.read_text().splitlines() if not json.loads(line).get("key", "").startswith("way")]
     file.write_text("".join(f"{line}\n" for line in lines))

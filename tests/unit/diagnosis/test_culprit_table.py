@@ -43,6 +43,7 @@ SHOWN: list[tuple[Fault, dict[str, Any], tuple[Part, ...], str]] = [
     (Fault.ENABLE_IGNORED, {}, (Part.IO_NODE,), "does not act"),
     (Fault.DRIVE_NOT_FOLLOWING, {"causes": frozenset({Fault.SUPERVISION_LOST})}, (Part.DRIVE,), "setting"),
     (Fault.STROKE_JUMPED, {}, (Part.ENCODER,), "jumped"),
+    (Fault.ENCODER_STUCK, {"unanswered": True}, (Part.DRIVE,), "takes a command"),
     (Fault.DRIVE_NOT_FOLLOWING, {"speed_noise_mm_s": 5.0}, (Part.ENCODER,), "noise"),
     (Fault.DRIVE_NOT_FOLLOWING, {"powered": False}, (Part.DRIVE,), "not in operation"),
     (Fault.DRIVE_NOT_FOLLOWING, {"position_mm_s": 1.4, "command_mm_s": 1.4}, (Part.ENCODER,), "contradict"),
