@@ -27,7 +27,9 @@ with memory_folder("{PREFIX}", pathlib.Path(sys.argv[1])) as folder:
     {{then}}
     time.sleep(600)
 """
-FORKS = "print(os.fork(), flush=True)"
+FORKS = """child = os.fork()
+    if child:  # one writer: two at once may mix their lines
+        print(child, flush=True)"""
 
 
 def held(base: pathlib.Path, then: str = "pass") -> tuple[subprocess.Popen[str], pathlib.Path]:
