@@ -71,8 +71,10 @@ class CarriedLoad:
 
     def choose(self, standing: int, snapshot: Snapshot) -> Witness:
         """The witness: the one named, else the one that is not in doubt; BOTH where neither or each is."""
-        if self.named is not Witness.BOTH:
-            return self.named
+        return self.suits(standing, snapshot) if self.named is Witness.BOTH else self.named
+
+    def suits(self, standing: int, snapshot: Snapshot) -> Witness:
+        """The witness that is not in doubt; BOTH where neither or each is."""
         cell = self._rope.cell_in_doubt(standing, snapshot)
         stroke = bool(standing & STROKE_BITS)
         return Witness.BOTH if cell is stroke else Witness.ENCODER if cell else Witness.CELL

@@ -5,7 +5,7 @@ The machine takes events and commands and returns results as values; it sends an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from rigctl.control import modes
@@ -241,30 +241,33 @@ class Machine:
         self.end_trial(Refusal.ABORTED)
         return True
 
+    def under_way(self, situation: Situation, t_ns: int) -> Situation:
+        """A situation with what is under way here."""
+        return replace(
+            situation,
+            ends=self.stopping,
+            silent=self.silent,
+            left_alone=t_ns - self._silent_at_ns >= SUPERVISED_NS,
+            powered=self._powered,
+            pending=situation.pending if self._pending is None else self._pending.verb,
+            disarming=self.disarming,
+            tries=self._trial is not None,
+        )
+
     def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
         """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive).
 
         A command that is refused touches nothing that is under way.
         """
-        if self.stopping:
-            return self._answer(id_, verb, Refusal.STOPPING)
-        if verb is Verb.RESET and self.silent:
-            early = t_ns - self._silent_at_ns < SUPERVISED_NS
-            self.starts_anew = not early
-            return self._answer(id_, verb, Refusal.STOP_RUNNING if early else Refusal.NONE)
-        if self.silent and verb in modes.NEEDS_MOTOR:
-            return self._answer(id_, verb, Refusal.WRONG_MODE)
-        if self.disarming and verb is Verb.DISARM:
-            return self._answer(id_, verb, Refusal.ALREADY)
-        if self._pending is not None and (answered := self._interrupt(id_, verb)) is not None:
-            return answered
-        if self._trial is not None and self.mode is Mode.DISARMED and verb in (Verb.HOLD, Verb.DISARM):
-            self._end_others(verb)
-            return self._answer(id_, verb, Refusal.NONE)
-        decision = modes.decide(self.mode, verb, situation)
+        decision = modes.answer(self.mode, verb, self.under_way(situation, t_ns))
         if decision.refusal is not Refusal.NONE:
             return self._answer(id_, verb, decision.refusal)
+        if verb is Verb.RESET and self.silent:
+            self.starts_anew = True
+            return self._answer(id_, verb, Refusal.NONE)
         self._end_others(verb)
+        if decision.ends:
+            return self._answer(id_, verb, Refusal.NONE)
         carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
         if verb is Verb.BRAKE_TEST:
             self.park()
@@ -285,17 +288,6 @@ class Machine:
             self._disarming = id_, t_ns + OFF_LIMIT_NS
             return None
         return self._answer(id_, verb, Refusal.NONE)
-
-    def _interrupt(self, id_: int, verb: Verb) -> Refusal | None:
-        """What a command does to the one that waits for the drive; None: it is decided as any other."""
-        if verb is self.pending:
-            return self._answer(id_, verb, Refusal.ALREADY)
-        if verb in modes.TRIED_IN and self.arming:
-            return self._answer(id_, verb, Refusal.WRONG_MODE)
-        if verb is Verb.HOLD or (verb is Verb.DISARM and self.mode is Mode.DISARMED):  # the load stays on the brake
-            self._end_others(verb)
-            return self._answer(id_, verb, Refusal.NONE)
-        return None
 
     def _end_others(self, verb: Verb) -> None:
         """End what is under way and gives way to an accepted command."""

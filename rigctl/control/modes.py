@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from enum import IntEnum, StrEnum
 from typing import Any, NamedTuple
 
+from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.ipc.record import COMMAND
 
@@ -272,7 +273,7 @@ class Refusal(IntEnum):
 class Situation:
     """Values that a decision depends on, beside the mode."""
 
-    failed_checks: int = 0  # preflight, bits of checks.Check
+    failed_checks: int = 0  # preflight, bits of checks.Check; those that are only waited for are left out
     cause_present: bool = False  # the latched fault's cause
     stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault_latched: bool = False
@@ -302,6 +303,15 @@ class Situation:
     stroke_mm: float = math.nan  # NaN: unknown now
     target_min_n: float = 0.0
     target_max_n: float = 0.0
+    witness: int = Witness.BOTH  # of a CARRY or LOWER whose operator names none
+    # What is under way
+    ends: bool = False  # the process
+    silent: bool = False  # nothing is sent to the drive
+    left_alone: bool = False  # for as long as a drive takes that stops by itself
+    powered: bool = False  # the motor has the load
+    pending: int = 0  # verb of a command that waits for the drive or for its read-back; 0: none
+    disarming: bool = False  # a DISARM waits for the drive to be off
+    tries: bool = False  # a trial is under way
 
 
 # -- guards: the refusal of a transition or command whose condition does not hold -----------------------------------
@@ -498,6 +508,8 @@ class Decision:
 
     refusal: Refusal = Refusal.NONE
     event: Event | None = None
+    ends: bool = False
+    """The command ends what is under way, and does no more."""
 
 
 TRIED_IN = {
@@ -539,6 +551,20 @@ ENDS_PENDING = frozenset({Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
 CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
 """Commands for a load that the brake does not hold."""
 
+AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.CELL_ZERO | Check.SECOND_FORCE
+"""Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
+_BARS_CARRY = Check.E_STOP | Check.E_STOP_IO | Check.DRIVE_STALE | Check.RIVAL
+"""Checks that bar a motor from carrying a load that its brake does not hold; all else concerns other motion."""
+_BY_CELL = Check.CELL_STALE | Check.CELL_INVALID | Check.CELL_IMPLAUSIBLE
+"""... and those that bar it where the cell alone is to show the load."""
+
+
+def bars_carry(by: Witness) -> Check:
+    """Checks that bar moving a load that the brake does not hold by a witness."""
+    bars = _BARS_CARRY if by is Witness.ENCODER else _BARS_CARRY | Check.TENSION_HIGH
+    return bars | _BY_CELL if by is Witness.CELL else bars
+
+
 _EVENT_OF = {
     Verb.TENSION: Event.TENSION,
     Verb.RELEASE: Event.RELEASE,
@@ -555,8 +581,39 @@ _ALREADY = {
 }
 
 
+def answer(mode: Mode, verb: Verb, situation: Situation) -> Decision:
+    """What a command does now: what is under way comes first, then the mode, then the checks of a motor that starts."""
+    if situation.ends:
+        return Decision(Refusal.STOPPING)
+    if situation.silent and verb is Verb.RESET:
+        return Decision(Refusal.NONE if situation.left_alone else Refusal.STOP_RUNNING)
+    if situation.silent and verb in NEEDS_MOTOR:
+        return Decision(Refusal.WRONG_MODE)
+    if verb == situation.pending or (situation.disarming and verb is Verb.DISARM):
+        return Decision(Refusal.ALREADY)
+    if situation.pending == Verb.ARM and verb in TRIED_IN:
+        return Decision(Refusal.WRONG_MODE)
+    stops = verb is Verb.HOLD or (verb is Verb.DISARM and mode is Mode.DISARMED)
+    if stops and (situation.pending or (situation.tries and mode is Mode.DISARMED)):
+        return Decision(ends=True)  # the load stays on the brake
+    decision = decide(mode, verb, situation)
+    starts = verb is Verb.BRAKE_TEST or (verb in NEEDS_MOTOR and not situation.powered)
+    if decision.refusal is Refusal.NONE and starts and barred(verb, situation):
+        return Decision(Refusal.PREFLIGHT)
+    return decision
+
+
+def barred(verb: Verb, situation: Situation) -> int:
+    """The checks that keep the motor from taking the load from the brake."""
+    if verb in CARRIES and (situation.brake_fails or situation.by):
+        return situation.failed_checks & int(bars_carry(Witness(int(situation.by) or situation.witness)))
+    return situation.failed_checks & ~int(AT_ARM_ONLY)
+
+
 def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
-    """What a command does in a mode. ARM and DISARM without an event take effect through the drive first.
+    """What a command does in a mode where nothing else is under way.
+
+    ARM and DISARM without an event take effect through the drive first.
 
     A reset of a drive's own fault ends in DISARMED, so that a whole arming follows.
     """

@@ -50,12 +50,6 @@ class _Waiting(NamedTuple):
 KNOWN_TEXT = " and is known not to hold, the motor has the load"
 RECHECK_NS = 600_000_000_000
 """A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
-_AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.CELL_ZERO | Check.SECOND_FORCE
-"""Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
-_BARS_CARRY = Check.E_STOP | Check.E_STOP_IO | Check.DRIVE_STALE | Check.RIVAL
-"""Checks that bar a motor from carrying a load that its brake does not hold; all else concerns other motion."""
-_BY_CELL = Check.CELL_STALE | Check.CELL_INVALID | Check.CELL_IMPLAUSIBLE
-"""... and those that bar it where the cell alone is to show the load."""
 _ABOUT_DRIVE = frozenset(
     {Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN, Refusal.BRAKE_SLIPPED, Refusal.LITTLE_LOAD,
      Refusal.STOP_RUNNING}
@@ -222,10 +216,11 @@ class Orders:
         tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.verb)
         return replace(given, refusal=Refusal.CAUSE_PRESENT) if tripped else given
 
-    def _reply_to(self, t_ns: int, given: Answer) -> None:
+    def _reply_to(self, t_ns: int, given: Answer, barred: Check = Check(0)) -> None:  # noqa: B008 - a constant
+        """``barred``: by these checks, where the situation of the answer knows them."""
         checks, figures = 0, {"tension_n": self._observer.tension_n}
         if given.refusal is Refusal.PREFLIGHT:
-            failing = self._barring(given.verb)
+            failing = barred or self._barring(given.verb)
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
         elif given.refusal in _ABOUT_DRIVE:
             figures = self._of_drive(given.refusal)
@@ -302,15 +297,8 @@ class Orders:
             return self.failed_checks(near_end=self._near_end)
         failing = self.failed_checks()
         if (verb or self._machine.pending) in modes.CARRIES and (self._brake.fails or self._carried.named):
-            return failing & self._bars_carry()
-        return failing & ~_AT_ARM_ONLY
-
-    def _bars_carry(self) -> Check:
-        """Checks that bar moving the load by the witness of now."""
-        standing, snapshot = self._watch.standing, self._observer.snapshot
-        by = self._carried.choose(standing, snapshot)
-        bars = _BARS_CARRY if by is Witness.ENCODER else _BARS_CARRY | Check.TENSION_HIGH
-        return bars | _BY_CELL if by is Witness.CELL else bars
+            return failing & modes.bars_carry(self._carried.choose(self._watch.standing, self._observer.snapshot))
+        return failing & ~modes.AT_ARM_ONLY
 
     @property
     def _verified_at_start(self) -> bool:
@@ -318,54 +306,44 @@ class Orders:
 
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
-        if verb is Verb.RESET and machine.mode is Mode.DISARMED and waiting is None:
-            self._readback.forget()  # ARM reads all of it again
-            self._observer.look_at_settings()
-        if waiting is not None:
-            if verb is waiting.verb:
-                self._reply(t_ns, id_, Refusal.ALREADY)
+        if waiting is None and not machine.pending:
+            if verb is Verb.ARM:
+                self._near_end = values["near_end"] == 1.0
+            elif verb is Verb.RESET and machine.mode is Mode.DISARMED:
+                self._readback.forget()  # ARM reads all of it again
+                self._observer.look_at_settings()
+        situation = self._situation(verb, values, t_ns)
+        decision = modes.answer(machine.mode, verb, situation)
+        if decision.refusal is not Refusal.NONE:
+            barred = 0 if verb is Verb.ARM else modes.barred(verb, situation)
+            self._reply_to(t_ns, Answer(id_, verb, decision.refusal), Check(barred))
+            return
+        if waiting is not None and verb in modes.ENDS_PENDING:
+            self._reply(t_ns, waiting.id, Refusal.ABORTED)
+            self._waiting = None
+            self._readback.give_up()
+            if decision.ends:
+                self._reply(t_ns, id_, Refusal.NONE)
                 return
-            if waiting.verb is Verb.ARM and verb in modes.TRIED_IN:
-                self._reply(t_ns, id_, Refusal.WRONG_MODE)
-                return
-            if self._ends_waiting(verb, values):
-                self._reply(t_ns, waiting.id, Refusal.ABORTED)
-                self._waiting = None
-                self._readback.give_up()
-                if machine.mode is Mode.DISARMED:
-                    self._reply(t_ns, id_, Refusal.NONE)
-                    return
-        elif self._reads_first(verb, values, t_ns):
+        elif waiting is None and self._reads_first(verb, t_ns):
             machine.end_trial(Refusal.ABORTED)
             self.trial = None
             self._waiting = _Waiting(id_, verb, values, t_ns, machine.mode)
             self._readback.begin_all(t_ns)
             return
-        self._carry_out(id_, verb, values, t_ns)
+        self._carry_out(id_, verb, values, situation, t_ns)
 
-    def _ends_waiting(self, verb: Verb, values: _Values) -> bool:
-        """Whether a command ends the one that waits for the read-back; one that the mode refuses does not."""
-        if verb in (Verb.DISARM, Verb.HOLD):
-            return True
-        if verb not in modes.NEEDS_MOTOR:
-            return False
-        return modes.decide(self._machine.mode, verb, self._situation(verb, values)).refusal is Refusal.NONE
-
-    def _reads_first(self, verb: Verb, values: _Values, t_ns: int) -> bool:
-        """Every supervised object is read before this command, unless it is refused already."""
+    def _reads_first(self, verb: Verb, t_ns: int) -> bool:
+        """Every supervised object is read before this command, if it is accepted."""
         machine = self._machine
-        if not self._readback.size or not self._verified_at_start or machine.stopping or machine.pending:
+        if machine.pending or not (self._readback.size and self._verified_at_start):
             return False
         if verb is Verb.ARM:
-            judged_later = Check.DRIVE_SUPERVISION | arming.AWAITED_CHECKS
-            return machine.mode is Mode.DISARMED and not (
-                self.failed_checks(near_end=values["near_end"] == 1.0) & ~judged_later
-            )
+            return True
         needs_motor = verb in modes.NEEDS_MOTOR and verb not in modes.CARRIES
         if not needs_motor or machine.mode is not Mode.HOLD or self._parked_ns is None:
             return False
-        refused = modes.decide(machine.mode, verb, self._situation(verb, values)).refusal
-        return refused is Refusal.NONE and (self._recheck or t_ns - self._parked_ns >= RECHECK_NS)
+        return self._recheck or t_ns - self._parked_ns >= RECHECK_NS
 
     def _go_on_waiting(self, waiting: _Waiting, t_ns: int) -> None:
         """Carry the command out once everything is read back, or refuse; the other checks are evaluated again."""
@@ -377,16 +355,21 @@ class Orders:
         if verdict:
             self._recheck = False
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
-        self._carry_out(waiting.id, waiting.verb, waiting.values, t_ns, since_ns=waiting.since_ns)
+        situation = self._situation(waiting.verb, waiting.values, t_ns, read=True)
+        self._carry_out(waiting.id, waiting.verb, waiting.values, situation, t_ns, since_ns=waiting.since_ns)
 
-    def _situation(self, verb: Verb, values: _Values) -> Situation:
+    def _situation(self, verb: Verb, values: _Values, t_ns: int, *, read: bool = False) -> Situation:
+        """What the answer to a command depends on; ``read``: the supervised objects have just been read for it."""
         machine, observer, settings = self._machine, self._observer, self._settings
         snapshot = observer.snapshot
         near_end = verb is Verb.ARM and self._near_end
+        later = arming.AWAITED_CHECKS
+        if not read and self._reads_first(verb, t_ns):
+            later |= Check.DRIVE_SUPERVISION
         failing = self.failed_checks(near_end=near_end)
         stops = machine.action >= Action.QUICK_STOP or snapshot.drive_faulted
-        return Situation(
-            failed_checks=int(failing & ~arming.AWAITED_CHECKS),
+        situation = Situation(
+            failed_checks=int(failing & ~later),
             stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot, settings),
             fault_latched=machine.fault is not Fault.NONE,
             wanted_n=values.get("target_n", 0.0),
@@ -417,15 +400,17 @@ class Orders:
             unloaded=abs(observer.inbox.reading_n) <= settings.tare_limit_n,
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
+            witness=self._carried.suits(self._watch.standing, snapshot),
+            pending=0 if self._waiting is None else self._waiting.verb,
         )
+        return machine.under_way(situation, t_ns)
 
-    def _carry_out(self, id_: int, verb: Verb, values: _Values, t_ns: int, *, since_ns: int | None = None) -> None:
+    def _carry_out(
+        self, id_: int, verb: Verb, values: _Values, situation: Situation, t_ns: int, *, since_ns: int | None = None
+    ) -> None:
         """``since_ns``: when the command came, if it has waited for the read-back."""
         machine, observer = self._machine, self._observer
-        if verb is Verb.ARM and not machine.pending:
-            self._near_end = values["near_end"] == 1.0
-        situation = self._situation(verb, values)
-        if verb in modes.CARRIES and machine.pending is not verb:
+        if verb in modes.CARRIES:
             self._latch_slip(verb, situation, t_ns)
         fault, was_pending = machine.fault, machine.pending
         refusal = machine.command(id_, verb, situation, t_ns)
@@ -469,8 +454,6 @@ class Orders:
 
     def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
         """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""
-        if modes.decide(self._machine.mode, verb, situation).refusal is not Refusal.NONE:
-            return
         self._carried.begin(Witness(int(situation.by)), self._watch.standing, self._observer.snapshot)
         if self._carried.named:
             self._logbook.event(t_ns, Kind.WITNESS, self._carried.named, text=verb.name.encode())
