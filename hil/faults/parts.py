@@ -120,13 +120,13 @@ PARTS: tuple[tuple[str, tuple[Part, ...]], ...] = (
 
 @functools.cache
 def parts_of(fault_id: str) -> tuple[Part, ...]:
-    """The parts of a fault, any of which may be named for it.
+    """The parts of a fault, any of which may be named for it; on a parked rig they are the same.
 
     Raises:
         LookupError: no row has it.
     """
     for pattern, parts in PARTS:
-        if fnmatchcase(fault_id, pattern):
+        if fnmatchcase(fault_id.removesuffix("_parked"), pattern):
             return parts
     raise LookupError(f"no part is stated for {fault_id}")
 

@@ -13,8 +13,9 @@ from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff, Witness
+from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
+from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
 from rigctl.devices import emergency
 from rigctl.devices.objects import STATUSWORD, DriveState

@@ -12,8 +12,9 @@ from hil.faults.stand import Step
 from hil.lockstep import Lockstep
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb, Witness
+from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
+from rigctl.control.situation import Witness
 from rigctl.devices.startup import StartupError
 from rigctl.diagnosis.part import Part
 from rigctl.gateway.active import ActiveConfiguration
@@ -95,7 +96,7 @@ class StepFollower:
         while (now_ns := rig.clock.now()) < end_ns:
             if self._step is not None:
                 self._step((now_ns - self._begun_ns) * 1e-9)
-            rig.clock.skip = min(rig.clock.skip, (end_ns - now_ns) // period_ns - 1)
+            rig.clock.skip = max(0, min(rig.clock.skip, (end_ns - now_ns) // period_ns - 1))
             rig.tick()
             if now_ns - self._looked_ns >= LOOKS_S * 1e9:
                 self.state()

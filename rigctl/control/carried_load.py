@@ -11,8 +11,8 @@ import math
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import STROKE_BITS
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Witness
 from rigctl.control.rope_memory import CONTRADICTED_BIT, RopeMemory
+from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
 
 LOWERS_MM_S = 2.0

@@ -13,11 +13,12 @@ from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
-from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Situation, Verb, decide
+from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Verb, decide
 from rigctl.control.observer import SETTLES_NS
 from rigctl.control.orders import RECHECK_NS
 from rigctl.control.parking import REST_NS, UNDO_MM, UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
+from rigctl.control.situation import Situation
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 
@@ -237,7 +238,7 @@ def _cell(mode: Mode, verb: Verb) -> str:
     if (mode, verb) in WITHOUT_EVENT:
         return f"carried out{_brackets(WITHOUT_EVENT[mode, verb])}"
     situations = (
-        Situation(armed=armed, carried=carried, fault_latched=latched)
+        Situation(armed=armed, carried_s=float(carried), fault=int(latched))
         for armed, carried, latched in product((True, False), repeat=3)
     )
     found = {event for one in situations if (event := decide(mode, verb, one).event) is not None}

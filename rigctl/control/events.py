@@ -16,8 +16,9 @@ from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
-from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb, Witness
+from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
+from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
 from rigctl.devices.objects import STATUSWORD, DriveState
@@ -56,7 +57,7 @@ class Kind(IntEnum):
     BRAKE_FLAG = 56  # a: 1 the brake does not hold, b: 1 that is assumed; value: tension, limit: of a test; text: why
     ENDING = 58  # a: see rigctl.control.ending.EndStep, value: WAITS: time until the motor lowers the load, LOWERS: 0,
     # else time since the request, both in s, limit: tension in N
-    WITNESS = 57  # a: see rigctl.control.modes.Witness, text: the command; an operator has named it
+    WITNESS = 57  # a: see rigctl.control.situation.Witness, text: the command; an operator has named it
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOAD_STEP = 71  # a: samples, b: cell's temperature in mK (0: not known), value: their mean reading in N,
     # limit: their mean time after the load's step in s, negative before it, text: rms of the reading in N

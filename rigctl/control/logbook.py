@@ -18,6 +18,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
 from rigctl.control.safety import Trip
+from rigctl.control.situation import Situation, slot_values
 from rigctl.control.tension import TensionLaw
 from rigctl.control.trials import LoadBin
 from rigctl.ipc.hold_socket import NAME_BYTES
@@ -43,6 +44,7 @@ class Rings:
     replies: RingWriter
     frames: RingWriter
     holds: RingWriter
+    situations: RingWriter
     commands: RingReader
 
     @classmethod
@@ -50,7 +52,7 @@ class Rings:
         """The loop's ends of a runtime folder's rings."""
         return cls(
             runtime.records.writer(), runtime.events.writer(), runtime.replies.writer(), runtime.frames.writer(),
-            runtime.holds.writer(), runtime.commands.reader(),
+            runtime.holds.writer(), runtime.situations.writer(), runtime.commands.reader(),
         )  # fmt: skip
 
 
@@ -201,6 +203,10 @@ class Logbook:
                 self._noticed.clear()
             self._noticed[kind, a, b] = t_ns + NOTICE_NS
             self.event(t_ns, kind, a, b, value, text=text)
+
+    def situation(self, t_ns: int, mode: int, situation: Situation) -> None:
+        """What the answers to commands depend on now, for the displays."""
+        self._rings.situations.write(*slot_values(t_ns, mode, situation))
 
     def reply(
         self, t_ns: int, id_: int, refusal: Refusal, checks: int, mode: int, figures: Mapping[str, float]

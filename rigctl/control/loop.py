@@ -27,7 +27,7 @@ from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
 from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
-from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Verb, Witness
+from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
@@ -39,6 +39,7 @@ from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
+from rigctl.control.situation import Witness
 from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
@@ -255,6 +256,7 @@ class Loop:
         """Start what a change of mode needs: ramp, sign check, travel, a new latch of the stroke."""
         law = self.law
         for change in changes:
+            self._orders.look_again()
             if change.before is Mode.FAULT:
                 self._stroke_hold.follow()  # motion acknowledged
                 self._held_tension.follow()

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 from rigctl.control import modes
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
+from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
+from rigctl.control.situation import Situation
 from rigctl.devices.drive import Power
 
 ARM_LIMIT_NS = 2_000_000_000

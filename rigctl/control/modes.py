@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
@@ -10,6 +9,7 @@ from typing import Any, NamedTuple
 
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.homed import TOLERANCE_MM
+from rigctl.control.situation import Situation, Witness
 from rigctl.ipc.record import COMMAND
 
 
@@ -33,14 +33,6 @@ class HeldBy(IntEnum):
     BRAKE = 3  # SBC, safe brake control: the drive is off, its brake closed, and the load is at rest
     TAKING = 4  # the drive is being switched on, the motor takes the load from the brake
     UNKNOWN = 5  # the drive does not report its state, or the load is not seen at rest on the closed brake
-
-
-class Witness(IntEnum):
-    """What shows the motion of a load that the motor carries because its brake does not hold it."""
-
-    BOTH = 0  # encoder and cell agree, or an operator has named neither
-    ENCODER = 1
-    CELL = 2
 
 
 class DrivePower(StrEnum):
@@ -269,51 +261,6 @@ class Refusal(IntEnum):
     DISAGREE = 101  # encoder and tension do not show the same motion; value: difference in mm
 
 
-@dataclass(frozen=True)
-class Situation:
-    """Values that a decision depends on, beside the mode."""
-
-    failed_checks: int = 0  # preflight, bits of checks.Check; those that are only waited for are left out
-    cause_present: bool = False  # the latched fault's cause
-    stop_running: bool = False  # the drive is still stopping, or its brake is closing
-    fault_latched: bool = False
-    armed: bool = False  # by ARM, and neither disarmed nor taken off power since
-    carried: bool = False  # the motor carries the load because the brake does not
-    e_stop: bool = False  # pressed
-    brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
-    disagree: bool = False  # encoder and tension do not show the same motion on the closed brake
-    sunk_mm: float = 0.0  # by ARMs alone, since the load was last moved on purpose
-    no_brake: bool = False  # the rig file has none, see cylinder.brake_waiver
-    little_load: bool = False  # for a test of a brake that is known not to hold
-    at_rest: bool = False  # the stroke has stood still
-    length_mm: float = 0.0  # of a RELEASE: how far a slack rope is paid out; 0: a ramp to slack
-    room_mm: float = math.nan  # how far the cylinder may pay out
-    by: float = 0.0  # of a CARRY or LOWER: the witness that the operator names
-    drive_faulted: bool = False
-    drive_unfit: bool = False  # by a fault of feedback, brake or power stage
-    slack: bool = False
-    unloaded: bool = False  # the cell reads no more than a tare may take away
-    wanted_n: float = 0.0  # target of a TARGET
-    measured_mm: float = 0.0  # stroke of a CONFIRM_STROKE
-    needs_tight: bool = False  # of an IDENTIFY
-    regulated: float = math.nan  # of a RESPONSE: 1 only while COMPENSATING, 0 only in HOLD, NaN in either
-    carry_s: float = math.nan  # of a CARRY: how long
-    move: float = 0.0  # number of a MOVE
-    moves: int = 0  # highest number of a move; 0: nothing is learnt
-    stroke_mm: float = math.nan  # NaN: unknown now
-    target_min_n: float = 0.0
-    target_max_n: float = 0.0
-    witness: int = Witness.BOTH  # of a CARRY or LOWER whose operator names none
-    # What is under way
-    ends: bool = False  # the process
-    silent: bool = False  # nothing is sent to the drive
-    left_alone: bool = False  # for as long as a drive takes that stops by itself
-    powered: bool = False  # the motor has the load
-    pending: int = 0  # verb of a command that waits for the drive or for its read-back; 0: none
-    disarming: bool = False  # a DISARM waits for the drive to be off
-    tries: bool = False  # a trial is under way
-
-
 # -- guards: the refusal of a transition or command whose condition does not hold -----------------------------------
 Guard = Callable[[Situation], Refusal]
 
@@ -324,7 +271,7 @@ SUNK_MM = 0.9
 
 def preflight_passed(situation: Situation) -> Refusal:
     """No preflight check fails, and the load has not sunk by ARMs that went before."""
-    if situation.failed_checks:
+    if barring(Verb.ARM, situation):
         return Refusal.PREFLIGHT
     return Refusal.SUNK if situation.sunk_mm > SUNK_MM else Refusal.NONE
 
@@ -332,9 +279,9 @@ def preflight_passed(situation: Situation) -> Refusal:
 def cause_gone(situation: Situation) -> Refusal:
     """No cause of the latched fault is active, the stop it began has ended, and the motor does not carry the load."""
     # A reset during the stop would also cancel the power off that follows if the drive does not obey.
-    if situation.cause_present:
+    if situation.causes:
         return Refusal.CAUSE_PRESENT
-    if situation.carried:  # the brake would have to hold again: lower, or disarm to try it
+    if situation.carried_s:  # the brake would have to hold again: lower, or disarm to try it
         return Refusal.CARRIED
     return Refusal.STOP_RUNNING if situation.stop_running else Refusal.NONE
 
@@ -359,17 +306,17 @@ def brake_testable(situation: Situation) -> Refusal:
         return Refusal.SLACK
     if not situation.at_rest:
         return Refusal.UNSTEADY
-    return Refusal.LITTLE_LOAD if situation.little_load else Refusal.NONE
+    return Refusal.LITTLE_LOAD if situation.needed_n else Refusal.NONE
 
 
 def motor_carries(situation: Situation) -> Refusal:
     """The motor carries the load by `carry`, and the rope is tight."""
-    return rope_tight(situation) if situation.carried else Refusal.WRONG_MODE
+    return rope_tight(situation) if situation.carried_s else Refusal.WRONG_MODE
 
 
 def no_fault_latched(situation: Situation) -> Refusal:
     """No fault is latched: only a hold ends the ramp down that a limit began."""
-    return Refusal.FAULT_LATCHED if situation.fault_latched else Refusal.NONE
+    return Refusal.FAULT_LATCHED if situation.fault else Refusal.NONE
 
 
 def target_in_bounds(situation: Situation) -> Refusal:
@@ -418,7 +365,7 @@ def motor_may_carry(situation: Situation) -> Refusal:
     """No emergency stop is pressed, the rope is tight, the time is 1 s to 1 h, a witness is named or both agree."""
     if situation.e_stop:
         return Refusal.CAUSE_PRESENT
-    if situation.slack:
+    if situation.slack_by_all:
         return Refusal.SLACK
     if not CARRY_S[0] <= situation.carry_s <= CARRY_S[1]:
         return Refusal.OUT_OF_RANGE
@@ -427,7 +374,7 @@ def motor_may_carry(situation: Situation) -> Refusal:
 
 def motor_may_lower(situation: Situation) -> Refusal:
     """The rope is tight, and with a brake that does not hold one witness is named or both agree."""
-    if situation.slack:
+    if situation.slack_by_all:
         return Refusal.ALREADY
     return witness_known(situation) if situation.brake_fails else Refusal.NONE
 
@@ -438,7 +385,7 @@ def witness_known(situation: Situation) -> Refusal:
         return Refusal.DRIVE_STATE
     if situation.by not in _WITNESSES:
         return Refusal.OUT_OF_RANGE
-    return Refusal.DISAGREE if situation.disagree and situation.by == Witness.BOTH else Refusal.NONE
+    return Refusal.DISAGREE if situation.apart_mm and situation.by == Witness.BOTH else Refusal.NONE
 
 
 def brake_fails_to_carry(situation: Situation) -> Refusal:
@@ -598,16 +545,19 @@ def answer(mode: Mode, verb: Verb, situation: Situation) -> Decision:
         return Decision(ends=True)  # the load stays on the brake
     decision = decide(mode, verb, situation)
     starts = verb is Verb.BRAKE_TEST or (verb in NEEDS_MOTOR and not situation.powered)
-    if decision.refusal is Refusal.NONE and starts and barred(verb, situation):
+    if decision.refusal is Refusal.NONE and starts and barring(verb, situation):
         return Decision(Refusal.PREFLIGHT)
     return decision
 
 
-def barred(verb: Verb, situation: Situation) -> int:
-    """The checks that keep the motor from taking the load from the brake."""
+def barring(verb: Verb, situation: Situation) -> int:
+    """The checks that fail of those that a command must pass which needs the motor."""
+    if verb is Verb.ARM:
+        return situation.failed_checks & ~(int(Check.DRIVE_SUPERVISION) if situation.read_at_arm else 0)
     if verb in CARRIES and (situation.brake_fails or situation.by):
         return situation.failed_checks & int(bars_carry(Witness(int(situation.by) or situation.witness)))
-    return situation.failed_checks & ~int(AT_ARM_ONLY)
+    later = AT_ARM_ONLY | Check.DRIVE_SUPERVISION if situation.read_at_motor and verb not in CARRIES else AT_ARM_ONLY
+    return situation.failed_checks & ~int(later)
 
 
 def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
@@ -626,7 +576,7 @@ def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
         event = Event.PAY_OUT
     if verb is Verb.RESET:
         event = Event.RESET_HELD if situation.armed and not situation.drive_faulted else Event.RESET_OFF
-    if event is Event.HOLD and mode is Mode.RELEASING and situation.fault_latched:
+    if event is Event.HOLD and mode is Mode.RELEASING and situation.fault:
         return Decision(event=Event.TRIP)  # the ramp down ends here, stroke held, the fault still latched
     if event is None or (mode, event) not in TRANSITIONS:
         return Decision(Refusal.WRONG_MODE)

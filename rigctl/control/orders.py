@@ -20,12 +20,13 @@ from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import Mode, Refusal, Setting, Situation, Verb, Witness
+from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
+from rigctl.control.situation import Situation, Witness
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
@@ -57,9 +58,11 @@ _ABOUT_DRIVE = frozenset(
 """Refusals whose reply has a figure of drive or brake."""
 _MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER, Verb.DISARM})
 """The load moves on purpose, or its motor has held it: what it sank by the arms before is of no account."""
+_MOVING = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
+"""The motor has the load: no check and no cause is in the way of a command."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
-LOOK_NS = 500_000_000  # period of the preflight for display while the rig is not armed
+LOOK_NS = 100_000_000  # period of what the displays offer
 
 
 class Orders:
@@ -141,16 +144,15 @@ class Orders:
         self._obey(id_, Verb.HOLD, {}, t_ns)
 
     def attend(self, t_ns: int) -> None:
-        """Go on with a waiting command, the preflight for display, and the trial, answered once it has ended."""
+        """Go on with a waiting command, what the displays offer, and the trial, answered once it has ended."""
         machine = self._machine
         parked = machine.armed and self._observer.braked
         self._parked_ns = (self._parked_ns or t_ns) if parked else None
         if self._waiting is not None:
             self._go_on_waiting(self._waiting, t_ns)
-        if t_ns >= self._look_ns and machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.pending:
+        if t_ns >= self._look_ns:
             self._look_ns = t_ns + LOOK_NS
-            failing = self.failed_checks()
-            self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
+            self._publish(t_ns)
         if self.trial is None and machine.trial is not None:  # the motor has taken the load for it
             self._begin_trial(machine.trial, t_ns)
         trial = self.trial
@@ -168,6 +170,18 @@ class Orders:
             self._found = trial.figures
             machine.end_trial(verdict)
         self.trial = None
+
+    def look_again(self) -> None:
+        """What the answers to commands depend on has changed."""
+        self._look_ns = 0
+
+    def _publish(self, t_ns: int) -> None:
+        """Write the situation for the displays, and note the checks for the record."""
+        machine = self._machine
+        failing = Check(0) if machine.mode in _MOVING else self.failed_checks()
+        self._logbook.situation(t_ns, machine.mode, self._situation(t_ns, failing=failing))
+        if machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.pending:
+            self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
 
     def _waits_for_brake(self, trial: trials.Trial) -> bool:
         """Whether a trial that only measures waits for the brake: a motor that holds the load moves it."""
@@ -205,6 +219,7 @@ class Orders:
     def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
         for given in answers:
+            self.look_again()
             self._reply_to(t_ns, given if self._machine.fault is Fault.NONE else self._tripped(given))
 
     def note_slip(self, moved_mm: float) -> None:
@@ -306,16 +321,17 @@ class Orders:
 
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
+        self.look_again()
         if waiting is None and not machine.pending:
             if verb is Verb.ARM:
                 self._near_end = values["near_end"] == 1.0
             elif verb is Verb.RESET and machine.mode is Mode.DISARMED:
                 self._readback.forget()  # ARM reads all of it again
                 self._observer.look_at_settings()
-        situation = self._situation(verb, values, t_ns)
+        situation = self._situation(t_ns, verb).given(values)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
-            barred = 0 if verb is Verb.ARM else modes.barred(verb, situation)
+            barred = 0 if verb is Verb.ARM else modes.barring(verb, situation)
             self._reply_to(t_ns, Answer(id_, verb, decision.refusal), Check(barred))
             return
         if waiting is not None and verb in modes.ENDS_PENDING:
@@ -355,53 +371,57 @@ class Orders:
         if verdict:
             self._recheck = False
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
-        situation = self._situation(waiting.verb, waiting.values, t_ns, read=True)
+        situation = self._situation(t_ns, waiting.verb, read=True).given(waiting.values)
         self._carry_out(waiting.id, waiting.verb, waiting.values, situation, t_ns, since_ns=waiting.since_ns)
 
-    def _situation(self, verb: Verb, values: _Values, t_ns: int, *, read: bool = False) -> Situation:
-        """What the answer to a command depends on; ``read``: the supervised objects have just been read for it."""
-        machine, observer, settings = self._machine, self._observer, self._settings
+    def _situation(
+        self, t_ns: int, verb: Verb | None = None, *, failing: Check | None = None, read: bool = False
+    ) -> Situation:
+        """What the answer to a command depends on now.
+
+        Args:
+            t_ns: now.
+            verb: of the command; None: of any.
+            failing: the checks that bar arming, where they are known.
+            read: the supervised objects have just been read for the command.
+        """
+        machine, observer, settings, brake = self._machine, self._observer, self._settings, self._brake
         snapshot = observer.snapshot
-        near_end = verb is Verb.ARM and self._near_end
-        later = arming.AWAITED_CHECKS
-        if not read and self._reads_first(verb, t_ns):
-            later |= Check.DRIVE_SUPERVISION
-        failing = self.failed_checks(near_end=near_end)
+        moves = machine.mode in _MOVING
+        if failing is None:
+            failing = Check(0) if moves else self.failed_checks(near_end=verb is Verb.ARM and self._near_end)
         stops = machine.action >= Action.QUICK_STOP or snapshot.drive_faulted
         situation = Situation(
-            failed_checks=int(failing & ~later),
+            failed_checks=int(failing & ~arming.AWAITED_CHECKS),
+            causes=0 if moves else self._watch.blocking(snapshot),
             stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot, settings),
-            fault_latched=machine.fault is not Fault.NONE,
-            wanted_n=values.get("target_n", 0.0),
-            measured_mm=values.get("stroke_mm", 0.0),
-            needs_tight=bool(values.get("tight", 0.0)),
-            regulated=values.get("regulated", math.nan),
-            carry_s=values.get("carry_s", math.nan),
-            move=values.get("move", 0.0),
+            fault=machine.fault,
             moves=0 if settings.learning is None else settings.learning.moves,
             stroke_mm=snapshot.stroke_mm if snapshot.drive_age_ns <= self._stale_ns else math.nan,
-            cause_present=self._watch.present(snapshot) is not Fault.NONE,
             armed=machine.armed,
-            carried=machine.carry_until_ns > 0,
+            carried_s=max(0, machine.carry_until_ns - t_ns) * 1e-9 if machine.carry_until_ns else 0.0,
             e_stop=snapshot.e_stop != 0,
-            brake_fails=self._brake.fails,
+            brake_fails=brake.fails,
             sunk_mm=0.0 if observer.slack else self._armed_mm - snapshot.stroke_mm,
             no_brake=settings.cylinder.brake_waiver is not None,
-            little_load=self._brake.fails and snapshot.tension_n < self._brake.wanted_n,
+            needed_n=brake.wanted_n if brake.fails and snapshot.tension_n < brake.wanted_n else 0.0,
             at_rest=snapshot.still_ns >= arming.STILL_NS,
-            length_mm=length if (length := values.get("length_mm", 0.0)) == length else 0.0,
             room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
-            disagree=snapshot.sink_apart_mm > 0.0,
-            by=by if (by := values.get("by", 0.0)) == by else 0.0,
+            apart_mm=snapshot.sink_apart_mm,
             drive_faulted=snapshot.drive_faulted,
             drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
-            slack=observer.slack
-            and not (verb in modes.CARRIES and self._brake.fails and self._rope.slack_in_doubt(snapshot)),
+            slack=observer.slack,
+            slack_doubted=brake.fails and self._rope.slack_in_doubt(snapshot),
             unloaded=abs(observer.inbox.reading_n) <= settings.tare_limit_n,
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
-            witness=self._carried.suits(self._watch.standing, snapshot),
+            witness=self._carried.suits(self._watch.standing, snapshot) if brake.fails else Witness.BOTH,
             pending=0 if self._waiting is None else self._waiting.verb,
+            read_at_arm=not read and self._reads_first(Verb.ARM, t_ns),
+            read_at_motor=not read and self._reads_first(Verb.TENSION, t_ns),
+            speed_mm_s=observer.inbox.speed_mm_s,
+            drive_state=drive_state(observer.inbox.statusword),
+            reading_n=observer.inbox.reading_n,
         )
         return machine.under_way(situation, t_ns)
 

@@ -60,6 +60,7 @@ from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtim
 from rigctl.ipc.termination import Termination
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
+from rigctl.wire.offers import offers
 from rigctl.wire.schema import schema
 from rigctl.wire.session import SessionError, close, finish, open_client
 from rigctl.wire.state_message import (
@@ -93,6 +94,7 @@ class StateView:
         self._settings, self._active = settings, active
         self._recorder = ReplacedFile(runtime, RECORDED)
         self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
+        self._situations = runtime.situations.reader()
         self._records.cursor = max(0, self._records.head - settings.loop.rate_hz)
         self._recent, self._trip = Recent(), TripEvents()
         self._causes = Causes((*safety.table(settings), *limits.rows(settings)))
@@ -151,6 +153,7 @@ class StateView:
             "design": self._design,
             "calibration": standing,
             "lease": lease,
+            "offers": offers(self._situations.latest(), now_ns, verdict.words, words),
             "preflight": preflight_of(record, verdict.words, verdict.waived),
             "read_back": self.check_details.read_back,
             **self._kept,

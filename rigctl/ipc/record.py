@@ -125,7 +125,7 @@ COMMAND = Slot(
         Field("length_mm", "d", "mm", "RELEASE: how far a slack rope is paid out; 0 or NaN: a ramp to slack"),
         Field("move", "d", "", "MOVE: its number, 0 the move under way has ended"),
         Field("carry_s", "d", "s", "CARRY: how long the motor carries before it lowers the load"),
-        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.control.modes.Witness"),
+        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.control.situation.Witness"),
         Field("zero_n", "d", "N", "ZERO: reading of the unloaded cell"),
         Field("scale", "d", "", "SCALE: factor of the cell's reading"),
         Field("overdue", "d", "", "OVERDUE, SCALE: 1 the calibration is overdue, 0 it is not"),
@@ -212,6 +212,22 @@ def figure_of(reply: Any) -> float:
     """The figure that a ``REPLY`` slot is about, 0 for none."""
     return next((float(reply[name]) for name in _FIGURES if not math.isnan(reply[name])), 0.0)
 
+
+SITUATION = Slot(
+    "situation",
+    (
+        Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
+        Field("mode", "B", "", "see rigctl.control.modes.Mode; the fields below: see rigctl.control.situation"),
+        *(Field(name, code, "", "") for code, names in (
+            ("Q", "failed_checks causes fault moves witness pending drive_state"),
+            ("B", "stop_running armed e_stop brake_fails no_brake at_rest drive_faulted drive_unfit slack "
+                  "slack_doubted unloaded ends silent left_alone powered disarming tries read_at_arm read_at_motor"),
+            ("d", "carried_s apart_mm sunk_mm needed_n room_mm stroke_mm target_min_n target_max_n speed_mm_s "
+                  "reading_n"),
+        ) for name in names.split()),
+    ),
+)  # fmt: skip
+"""What the answer to every command depends on now."""
 
 NOTE = Slot(
     "note",

@@ -70,6 +70,7 @@ PUBLIC_MODE = 0o644
 """Mode of a file that everyone who may enter the folder may read."""
 _MORE = " (a container: start it with a larger --shm-size, Docker's default is 64 MB)"
 _SMALL_RING = 4096
+_FEW = 16  # of a ring whose newest slot alone is read
 _NOTES = 1024
 _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to the next frame
 _FASTEST_BIT_S = 1_000_000
@@ -151,6 +152,7 @@ class Runtime(FolderFiles):
         self.frames = self._ring("frames", record.FRAME)
         self.events = self._ring("events", record.EVENT)
         self.replies = self._ring("replies", record.REPLY)
+        self.situations = self._ring("situations", record.SITUATION)
         self.commands = self._ring("commands", record.COMMAND)
         self.notes = self._ring("notes", record.NOTE)
         self.requests = self._ring("desk", record.REQUEST)
@@ -357,7 +359,7 @@ class Runtime(FolderFiles):
         capacities = {
             self.records: settings.loop.rate_hz * history_s, self.frames: frames_held(settings, history_s),
             self.events: _SMALL_RING, self.commands: _SMALL_RING, self.replies: _SMALL_RING,
-            self.holds: notes, self.notes: notes, self.requests: notes, self.supervision: notes,
+            self.situations: _FEW, self.holds: notes, self.notes: notes, self.requests: notes, self.supervision: notes,
         }  # fmt: skip
         disk = os.statvfs(self.directory)
         try:

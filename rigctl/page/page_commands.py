@@ -19,12 +19,12 @@ from rigctl.page import typed_fields
 from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import Denial
-from rigctl.wire.possible_commands import VERBS as POSSIBLE
+from rigctl.wire.offers import BUTTONS, refused_with
 from rigctl.wire.state_words import measured, number
 from rigctl.wire.typed_values import SHELF_MINUTES, shelf_s
 
 CONFIRM_S = 15.0
-VERBS = ("hold", *(verb.name.lower() for verb in POSSIBLE))
+VERBS = ("hold", *(verb.name.lower() for verb in BUTTONS))
 Answer = dict[str, Any]
 
 
@@ -125,7 +125,7 @@ class PageCommands:
         answer names the ``holder``.
 
         Raises:
-            RefusedError: no such command, no daemon, or text that is no number.
+            RefusedError: no such command, no daemon, text that is no number, or what the loop would refuse now.
         """
         if verb not in VERBS:
             raise RefusedError(f"found the command {verb[:40]!r}, expected {', '.join(VERBS)}")
@@ -139,6 +139,8 @@ class PageCommands:
         if verb == "hold":
             return self._hold()
         state = self._picture.state or {}
+        if why := refused_with(state, verb, value):
+            raise RefusedError(f"{verb.upper()} refused: {why}")
         if not self.holds_lease(state):
             taken = self._ask(lambda client: client.take_lease(self.operator, reason))
             if not taken.get("accepted"):

@@ -11,7 +11,7 @@ from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarm_words import tally
 from rigctl.wire.alarms import as_message
-from rigctl.wire.possible_commands import not_now, possible
+from rigctl.wire.offers import BUTTONS, PAY_OUT, not_now, refused_now
 from rigctl.wire.trust import doubts
 
 _NUMBERS = (
@@ -28,11 +28,6 @@ _MINUTE_S = 60
 def _period_us(active: dict[str, Any]) -> float | None:
     rate_hz = ((active.get("settings") or {}).get("loop") or {}).get("rate_hz")
     return 1e6 / rate_hz if rate_hz else None
-
-
-def _target_range(active: dict[str, Any]) -> tuple[float, float]:
-    tension = (active.get("settings") or {}).get("tension") or {}
-    return float(tension.get("target_min_n") or 0.0), float(tension.get("target_max_n") or 0.0)
 
 
 def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[str, Any]:
@@ -56,7 +51,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "server_wall_ms": time.time() * 1000,
         "asked": asked,
     }
-    message["bounds"] = typed_fields.bounds(state or {}, active.get("settings") or {})
+    message["bounds"] = typed_fields.bounds(state or {})
     message["alarms"] = [as_message(row, now_ns) | {"condition": row.condition} for row in alarms]
     failing = ((state or {}).get("preflight") or {}).get("failing") or {}
     barred = len(failing) if (state or {}).get("mode") == "DISARMED" else 0
@@ -80,7 +75,10 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
     }  # fmt: skip
     if state.get("mode") is None:
         return message
-    verbs, shown = possible(state, _target_range(active)), state.get("mode") == "FAULT"
+    why, shown = refused_now(state), state.get("mode") == "FAULT"
+    verbs = {name: why[name] for name in (verb.name.lower() for verb in BUTTONS)}
+    if not why[PAY_OUT]:
+        verbs["release"] = ""  # its button has a field for the length
     return message | {
         "values": {name: state.get(name) for name in _NUMBERS},
         "doubts": doubts(state),

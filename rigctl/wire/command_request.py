@@ -18,7 +18,8 @@ from rigctl.control.arming import LONG_TEST_NS
 from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb, Witness
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.situation import Witness
 from rigctl.ipc.hold_socket import HELD, HoldAnswer
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader

@@ -9,11 +9,11 @@ from typing import Any
 
 from rigctl.config.quantity import count, number
 from rigctl.control.faults import Fault, Trait
-from rigctl.control.modes import PowerOff
+from rigctl.control.modes import PowerOff, Refusal
 from rigctl.diagnosis.part import Part
 from rigctl.wire.alarms import Alarm, figure
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
-from rigctl.wire.possible_commands import possible
+from rigctl.wire.offers import reason_now, refused_now
 from rigctl.wire.state_words import drive, ending, held, mode
 from rigctl.wire.trust import doubts, trusted
 
@@ -101,10 +101,10 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
         return OperatorView((), "not known: the loop writes no records", "", steps, KEEP_OUT,
                             "what the rig does is not known", (mode(state),), "the loop writes no records")  # fmt: skip
     causes, flags = _causes(state, alarms), state.get("flag_names", [])
-    verbs = possible(state)
+    verbs = refused_now(state)
     entry, why = _entry(state, flags, lock_out)
     parts, text, follows, priority = _headline(state, causes, alarms)
-    return OperatorView(causes, _does(state, flags), _blocks(state, causes, flags),
+    return OperatorView(causes, _does(state, flags), _blocks(state, causes, verbs),
                         _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, follows,
                         priority)  # fmt: skip
 
@@ -188,19 +188,30 @@ def _does(state: dict[str, Any], flags: list[str]) -> str:
     return "; ".join(filter(None, (words, ending(state))))
 
 
-def _blocks(state: dict[str, Any], causes: tuple[FaultCause, ...], flags: list[str]) -> str:
+def _blocks(state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str]) -> str:
     """What keeps a reset from being accepted; "" without a latched fault."""
     if not state.get("fault"):
         return ""
-    blocking = [cause.fault for cause in causes if cause.stands and cause.blocks_reset]
-    if "stopping" in flags:
-        blocking.append("the drive is still stopping")
-    if state["mode"] == "RELEASING":
-        blocking.append("the tension is being lowered first")
-    if blocking:
-        return ", ".join(dict.fromkeys(blocking))
     active = list(dict.fromkeys(cause.fault for cause in causes if cause.stands))
-    return f"nothing, but {', '.join(active)} is active and may trip again" if active else "nothing: RESET is accepted"
+    if not verbs["reset"]:
+        blocking = [cause.fault for cause in causes if cause.stands and cause.blocks_reset]
+        if blocking:
+            return f"nothing: {_ANEW}"
+        return (
+            f"nothing, but {', '.join(active)} is active and may trip again" if active else "nothing: RESET is accepted"
+        )
+    match reason_now(state, "reset"):
+        case Refusal.CAUSE_PRESENT.name:
+            blocking = [cause.fault for cause in causes if cause.stands and cause.blocks_reset]
+            return ", ".join(dict.fromkeys(blocking)) or verbs["reset"]
+        case Refusal.STOP_RUNNING.name:
+            return "the drive is still stopping"
+        case Refusal.WRONG_MODE.name:
+            return "the tension is being lowered first"
+    return verbs["reset"]
+
+
+_ANEW = "RESET is accepted, and starts all devices anew"
 
 
 def _steps(
@@ -215,7 +226,7 @@ def _steps(
     if state.get("fault"):
         return _after_fault(state, causes, verbs, entry, lock_out)
     mode_name = str(state["mode"])
-    if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
+    if _slips(state):
         return Instruction(_HALL), *_on_brake_that_fails(state, verbs)
     if mode_name == "DISARMED":
         failing = list(((state.get("preflight") or {}).get("failing") or {}).values())
@@ -227,13 +238,12 @@ def _steps(
         return (Instruction("See that the hall is empty."), *barred, *clears, Instruction(ready, "arm"))
     if mode_name == "HOLD" and BRAKE_FAILS in state.get("flag_names", []):
         test = "Support the payload from below; rigctl brake-test shows whether the brake holds."
-        slack, off = (
-            Instruction("RELEASE lowers the load.", "release"),
-            Instruction("DISARM, once the rope is slack.", "disarm"),
-        )
-        return Instruction(_HALL), Instruction(test, places=_SUPPORTED), slack, off
+        slack = (Instruction("RELEASE lowers the load.", "release"),) if not verbs["release"] else ()
+        off = Instruction("DISARM, once the rope is slack.", "disarm")
+        return Instruction(_HALL), Instruction(test, places=_SUPPORTED), *slack, off
     if mode_name == "HOLD":
-        out = Instruction("RELEASE lowers the load, DISARM leaves it to the brake.", "disarm")
+        lowers = "RELEASE lowers the load, DISARM leaves it to the brake."
+        out = Instruction(lowers if not verbs["release"] else "DISARM.", "disarm")
         return Instruction("See that the hall is empty."), Instruction("TENSION goes on.", "tension"), out
     last = (Instruction("RELEASE ends the run.", "release"),) if not verbs["release"] else ()
     return Instruction(_HALL), Instruction("HOLD stops the stroke at any time.", "hold"), *last
@@ -246,8 +256,11 @@ def _after_fault(
     culprit = state.get("culprit")
     culprit = culprit if isinstance(culprit, dict) else {}
     parts = tuple(map(str, culprit.get("parts") or ())) or (HandsAt.RIG,)
-    if BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR:
+    stopped = any(cause.stands and cause.fault == Fault.E_STOP.name for cause in causes)
+    if _slips(state):
         steps += _on_brake_that_fails(state, verbs)
+    elif state.get("power_off") == PowerOff.UNCONFIRMED.name and stopped:
+        steps.append(Instruction("Keep out and secure the load: nothing shows that the drive has no power."))
     elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
         unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
         steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
@@ -273,9 +286,15 @@ def _after_fault(
     if any(cause.stands and cause.fault == Fault.STROKE_JUMPED.name for cause in causes):
         measured = "Give the stroke measured at the cylinder: rigctl confirm-stroke MM."
         steps.append(Instruction(measured, "confirm-stroke", ReadAtRig.STROKE))
-    if any(cause.stands and cause.fault == Fault.E_STOP.name for cause in causes):
+    if stopped:
         steps.append(Instruction("Release the emergency stop.", places=(HandsAt.E_STOP,), hands=Hands.RELEASE))
-    return *steps, *_reset(state, causes)
+    return *steps, *_reset(state, causes, verbs)
+
+
+def _slips(state: dict[str, Any]) -> bool:
+    """The brake has a load that it is known not to hold."""
+    fails = BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR
+    return fails and reason_now(state, "carry") != Refusal.SLACK.name
 
 
 def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> tuple[Instruction, ...]:
@@ -289,27 +308,27 @@ def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> tuple[
     return (Instruction(f"Support the payload from below: {why}.", places=_SUPPORTED, hands=Hands.SUPPORT),)
 
 
-def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...]) -> tuple[Instruction, ...]:
+def _reset(state: dict[str, Any], causes: tuple[FaultCause, ...], verbs: dict[str, str]) -> tuple[Instruction, ...]:
     """The reset, when it is accepted, and what is left where it is not."""
-    words = "RESET."
     blocking = list(dict.fromkeys(cause.fault for cause in causes if cause.stands and cause.blocks_reset))
-    if blocking:
-        silent = any(Trait.DEVICE_SILENT in Fault[name].traits for name in blocking if name in Fault.__members__)
-        others = count(len(blocking) - 1, "other cause")
-        gone = f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {others} are gone"
-        anew = (
-            (Instruction("Else start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START),)
-            if silent
-            else ()
-        )
-        return Instruction(f"RESET, once {gone}.", "reset"), *anew
-    if state["mode"] == "RELEASING":
-        words = "RESET, once the rope is slack."
-    elif "stopping" in state.get("flag_names", []):
-        words = "RESET, once the drive has stopped."
-    elif any(cause.stands for cause in causes):
-        words = "RESET; the fault may trip again."
-    return (Instruction(words, "reset"),)
+    active = any(cause.stands for cause in causes)
+    if not verbs["reset"]:
+        words = "RESET; it starts all devices anew." if blocking else "RESET; the fault may trip again."
+        return (Instruction(words if active else "RESET.", "reset"),)
+    match reason_now(state, "reset"):
+        case Refusal.CAUSE_PRESENT.name if blocking:
+            silent = any(Trait.DEVICE_SILENT in Fault[name].traits for name in blocking if name in Fault.__members__)
+            others = count(len(blocking) - 1, "other cause")
+            gone = f"{blocking[0]} is gone" if len(blocking) == 1 else f"{blocking[0]} and {others} are gone"
+            anew = Instruction("Else start the daemon anew.", places=(HandsAt.COMPUTER,), hands=Hands.START)
+            return Instruction(f"RESET, once {gone}.", "reset"), *((anew,) if silent else ())
+        case Refusal.WRONG_MODE.name:
+            return (Instruction("RESET, once the rope is slack.", "reset"),)
+        case Refusal.STOP_RUNNING.name:
+            return (Instruction("RESET, once the drive has stopped.", "reset"),)
+        case Refusal.CARRIED.name:
+            return (Instruction("RESET, once the motor has lowered the load.", "reset"),)
+    return (Instruction("RESET, once nothing bars it.", "reset"),)
 
 
 def _sentence(words: str) -> str:

@@ -380,6 +380,13 @@ DERIVED: Rows = (
     ),
     ("lease", "object?", "", "holder, since_ns, until_ns (as t_ns), held_s, left_s; null while nobody holds it"),
     (
+        "offers",
+        "object?",
+        "",
+        "what each command would be answered: refused (by verb why, empty where it is accepted), bounds of its value, "
+        "age_ms; null before the loop runs",
+    ),
+    (
         "preflight",
         "object?",
         "",

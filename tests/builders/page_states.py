@@ -27,6 +27,7 @@ from rigctl.page.page_commands import PageCommands
 from rigctl.page.picture import Picture
 from rigctl.page.server import Page
 from rigctl.wire.state_message import quality_words
+from tests.builders.offered import offered
 from tests.builders.waiting import until
 
 S = 1_000_000_000
@@ -118,7 +119,7 @@ def state(
         causes += [cause_of(other) for other in FOLLOWING]
     quality = {name: quality_words(1 if name in lost else 0) for name in ("tension", "inclination", "drive")}
     compensating = mode is Mode.COMPENSATING
-    return {
+    made = {
         "rig": "paper_rig", "mode": mode.name, "loop_alive": True, "age_ms": 1.0, "wall_ns": time.time_ns(),
         "flag_names": ["drive_enabled"] if on else [], "fault": fault.name if fault else None,
         "fault_code": int(fault), "fault_text": text,
@@ -139,6 +140,7 @@ def state(
         "recording": None, "trip_dump": None, "warnings": ["SCHED_FIFO 80 refused: not permitted"],
         "gateway_wall_ns": 1, **more,
     }  # fmt: skip
+    return {"offers": offered(made), **made}
 
 
 def drive_reports(by: HeldBy) -> dict[str, str | None]:

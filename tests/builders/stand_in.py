@@ -17,20 +17,9 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import HoldSockets
-from rigctl.control.modes import (
-    TRANSITIONS,
-    Decision,
-    Event,
-    HeldBy,
-    Mode,
-    Refusal,
-    Setting,
-    Situation,
-    Verb,
-    decide,
-    next_mode,
-)
+from rigctl.control.modes import TRANSITIONS, Decision, Event, HeldBy, Mode, Refusal, Setting, Verb, decide, next_mode
 from rigctl.control.safety import Action
+from rigctl.control.situation import Situation
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import RECORD, REPLY, Flag
 from rigctl.ipc.runtime_folder import Runtime

@@ -14,7 +14,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.ending import TOGETHER_NS, WAITS_NS, EndStep
 from rigctl.control.events import Kind
-from rigctl.control.modes import Mode, Refusal, Verb, Witness
+from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.situation import Witness
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 from tests.builders.branches import Started

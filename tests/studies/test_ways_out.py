@@ -25,7 +25,8 @@ from rigctl.control.brake_flag import TESTED_SHARE, KeptBrake
 from rigctl.control.carried_load import LOWERS_MM_S
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.modes import SUNK_MM, Mode, Refusal, Verb, Witness
+from rigctl.control.modes import SUNK_MM, Mode, Refusal, Verb
+from rigctl.control.situation import Witness
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.ipc.record import Flag

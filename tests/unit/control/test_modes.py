@@ -22,7 +22,6 @@ from rigctl.control.modes import (
     Mode,
     Refusal,
     Setting,
-    Situation,
     Verb,
     command_slot,
     decide,
@@ -30,6 +29,7 @@ from rigctl.control.modes import (
     next_mode,
 )
 from rigctl.control.safety import Action, Trip
+from rigctl.control.situation import Situation
 from rigctl.devices.drive import Power
 from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
@@ -73,8 +73,8 @@ def test_only_a_reset_and_the_lowering_of_the_load_leave_a_fault() -> None:
 
 def test_a_release_in_fault_needs_the_motor_to_carry_a_tight_rope() -> None:
     assert decide(Mode.FAULT, Verb.RELEASE, READY).refusal is Refusal.WRONG_MODE
-    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried=True)).event is Event.RELEASE
-    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried=True, slack=True)).refusal is Refusal.ALREADY
+    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried_s=1.0)).event is Event.RELEASE
+    assert decide(Mode.FAULT, Verb.RELEASE, replace(READY, carried_s=1.0, slack=True)).refusal is Refusal.ALREADY
 
 
 def test_no_carry_while_the_emergency_stop_is_pressed() -> None:
@@ -188,18 +188,18 @@ def test_guards() -> None:
     assert decide(Mode.DISARMED, Verb.ARM, Situation(failed_checks=1)).refusal is Refusal.PREFLIGHT
     assert decide(Mode.DISARMED, Verb.ARM, Situation(sunk_mm=1.0)).refusal is Refusal.SUNK
     assert decide(Mode.DISARMED, Verb.ARM, Situation(sunk_mm=math.nan)).refusal is Refusal.NONE
-    assert decide(Mode.FAULT, Verb.RESET, Situation(cause_present=True)).refusal is Refusal.CAUSE_PRESENT
+    assert decide(Mode.FAULT, Verb.RESET, Situation(causes=1)).refusal is Refusal.CAUSE_PRESENT
     assert decide(Mode.FAULT, Verb.RESET, Situation(stop_running=True)).refusal is Refusal.STOP_RUNNING
     assert decide(Mode.FAULT, Verb.RESET, Situation(armed=True)).event is Event.RESET_HELD
     assert decide(Mode.FAULT, Verb.RESET, Situation()).event is Event.RESET_OFF
     assert decide(Mode.DISARMED, Verb.RESET, Situation(drive_faulted=True)).refusal is Refusal.NONE
-    unseen = Situation(drive_faulted=True, cause_present=True)
+    unseen = Situation(drive_faulted=True, causes=1)
     assert decide(Mode.DISARMED, Verb.RESET, unseen).refusal is Refusal.CAUSE_PRESENT
-    assert decide(Mode.FAULT, Verb.RESET, Situation(carried=True)).refusal is Refusal.CARRIED
+    assert decide(Mode.FAULT, Verb.RESET, Situation(carried_s=1.0)).refusal is Refusal.CARRIED
     assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, slack=True)).refusal is Refusal.SLACK
-    assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, disagree=True)).refusal is Refusal.DISAGREE
+    assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, apart_mm=0.1)).refusal is Refusal.DISAGREE
     assert decide(Mode.FAULT, Verb.LOWER, Situation(slack=True)).refusal is Refusal.ALREADY
-    assert decide(Mode.FAULT, Verb.LOWER, Situation(disagree=True)) == Decision(event=Event.LOWER)
+    assert decide(Mode.FAULT, Verb.LOWER, Situation(apart_mm=0.1)) == Decision(event=Event.LOWER)
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.HOLD, Verb.TARE, Situation()).refusal is Refusal.LOADED
     assert decide(Mode.HOLD, Verb.IDENTIFY, Situation(slack=True, needs_tight=True)).refusal is Refusal.SLACK
@@ -224,7 +224,7 @@ def test_a_target_at_its_bound_is_inside(value: float) -> None:
 @pytest.mark.parametrize("latched", [False, True])
 @pytest.mark.parametrize("mode", Mode)
 def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) -> None:
-    event = decide(mode, Verb.HOLD, Situation(fault_latched=latched)).event
+    event = decide(mode, Verb.HOLD, Situation(fault=int(latched))).event
     assert (event is Event.TRIP) == (latched and mode is Mode.RELEASING)
 
 
@@ -234,7 +234,7 @@ def test_guards_refuse_for_their_own_reason_only() -> None:
     assert decide(Mode.HOLD, Verb.RESPONSE, Situation(regulated=0.0)) == Decision()
     assert decide(Mode.COMPENSATING, Verb.RESPONSE, Situation(regulated=1.0)) == Decision()
     assert decide(Mode.DISARMED, Verb.RESET, Situation()).refusal is Refusal.WRONG_MODE
-    assert decide(Mode.FAULT, Verb.DISARM, Situation(cause_present=True, fault_latched=True)) == Decision()
+    assert decide(Mode.FAULT, Verb.DISARM, Situation(causes=1, fault=Fault.LIMIT)) == Decision()
 
 
 @pytest.mark.parametrize("value", [Situation(), Decision(), TRANSITIONS[Mode.HOLD, Event.TENSION]],
@@ -246,7 +246,7 @@ def test_what_was_decided_is_not_changed_afterwards(value: object) -> None:
 
 def test_a_situation_of_which_nothing_is_known_has_no_reason_and_no_permission() -> None:
     nothing = Situation()
-    assert not any((nothing.failed_checks, nothing.cause_present, nothing.stop_running, nothing.fault_latched))
+    assert not any((nothing.failed_checks, nothing.causes, nothing.stop_running, nothing.fault))
     assert not any((nothing.armed, nothing.drive_faulted, nothing.slack, nothing.unloaded, nothing.needs_tight))
     assert (nothing.wanted_n, nothing.measured_mm, nothing.target_min_n, nothing.target_max_n) == (0.0, 0.0, 0.0, 0.0)
 
@@ -347,7 +347,7 @@ def test_a_limit_may_have_the_tension_ramped_down_and_the_fault_stays_latched_to
     assert machine.trip(WARM, 10, slack=False)
     assert (machine.mode, machine.fault) == (Mode.RELEASING, Fault.LIMIT)
     assert not machine.trip(WARM, 11, slack=False), "it is under way"
-    latched = replace(READY, fault_latched=True, armed=True)
+    latched = replace(READY, fault=Fault.LIMIT, armed=True)
     machine.command(3, Verb.TENSION, latched, 12)
     assert machine.answers[-1].refusal is Refusal.FAULT_LATCHED
     machine.on(Event.SLACK)
@@ -361,7 +361,7 @@ def test_a_ramp_down_is_ended_by_a_hold_a_stronger_trip_or_a_stop_and_holds_at_f
     machine = compensating()
     machine.trip(WARM, 10, slack=False)
     if how == "hold":
-        machine.command(3, Verb.HOLD, replace(READY, fault_latched=True), 12)
+        machine.command(3, Verb.HOLD, replace(READY, fault=Fault.LIMIT), 12)
         assert machine.answers[-1].refusal is Refusal.NONE
     elif how == "trip":
         assert machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0), 12, slack=False)
@@ -635,7 +635,7 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         if kind == "verb":
             asked += 1
             latched = machine.fault is not Fault.NONE
-            situation = Situation(fault_latched=latched, armed=flag, wanted_n=300.0, target_max_n=400.0)
+            situation = Situation(fault=int(latched), armed=flag, wanted_n=300.0, target_max_n=400.0)
             machine.command(asked, what, situation, t)
         elif kind == "event":
             machine.on(what)

@@ -15,8 +15,9 @@ from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.faults import Fault
 from rigctl.control.machine import ARM_LIMIT_NS
-from rigctl.control.modes import Event, Mode, Refusal, Situation, Verb
+from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
+from rigctl.control.situation import Situation
 from rigctl.control.snapshot import Snapshot
 from rigctl.devices.drive import Power
 from tests.builders.outcomes import MachineLog, WatchLog
@@ -172,10 +173,10 @@ class Rig(RuleBasedStateMachine):
         present = self.watch.present(self.snapshot)
         failing = bool(self.watch.beyond(self.snapshot, Mode.HOLD)) or self.faulted
         situation = Situation(
-            failed_checks=int(failing), cause_present=present is not Fault.NONE,
-            fault_latched=machine.fault is not Fault.NONE, armed=machine.armed,
+            failed_checks=int(failing), causes=int(present is not Fault.NONE),
+            fault=machine.fault, armed=machine.armed,
             drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, wanted_n=value,
-            measured_mm=value, carry_s=value, carried=machine.carry_until_ns > 0,
+            measured_mm=value, carry_s=value, carried_s=float(machine.carry_until_ns > 0),
             needs_tight=bool(value), target_min_n=50.0, target_max_n=350.0,
         )  # fmt: skip
         machine.command(self.asked, verb, situation, self.t_ns)

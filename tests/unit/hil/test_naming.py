@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 import pytest
 
 from hil.faults import processes
-from hil.faults.catalogue import CATALOGUE
+from hil.faults.catalogue import CATALOGUE, ROWS
 from hil.faults.drawn.kinds import KINDS
 from hil.faults.fault_tables import confusion_lines
 from hil.faults.naming import NamedRow, Naming, good, naming, shares
@@ -31,6 +31,10 @@ def test_every_fault_states_its_part_and_every_pattern_is_some_faults() -> None:
     assert [pattern for pattern, _ in PARTS if pattern not in used] == []
     with pytest.raises(LookupError, match="no part is stated for nothing"):
         parts_of("nothing")
+
+
+def test_every_row_of_the_catalogue_states_its_part_on_a_parked_rig_too() -> None:
+    assert {parts_of(fault_id) for fault_id in ROWS if fault_id.endswith("_parked")} <= {parts for _, parts in PARTS}
 
 
 def test_every_drawn_kind_states_its_part() -> None:

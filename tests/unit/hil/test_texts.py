@@ -26,7 +26,8 @@ from rigctl.control import events
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Refusal, Verb, Witness
+from rigctl.control.modes import Refusal, Verb
+from rigctl.control.situation import Witness
 from rigctl.devices import emergency
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s

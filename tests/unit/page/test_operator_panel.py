@@ -7,60 +7,81 @@ from typing import Any
 import pytest
 
 from rigctl.control.checks import Check
-from rigctl.control.modes import Mode, Situation, Verb, decide
+from rigctl.control.modes import Mode, Verb, answer
+from rigctl.control.situation import Situation
 from rigctl.page.operator_panel import answers, devices, timing
-from rigctl.wire.possible_commands import NO_DRIVE, NO_LOOP, VERBS, not_now, possible
-
-RANGE = (50.0, 350.0)
+from rigctl.wire.offers import BUTTONS, NO_LOOP, PAY_OUT, not_now, refused_now, refused_with
+from tests.builders.offered import offered
 
 
 def state(mode: Mode, *flags: str, **more: Any) -> dict[str, Any]:
-    return {
+    made = {
         "mode": mode.name, "loop_alive": True, "flag_names": list(flags), "fault": None, "fault_code": 0, "causes": [],
         "checks": 0, "preflight": {"failing": {}, "waived": {}}, "target_n": 300.0, "tension_n": 298.7,
         "quality": {"drive": "good", "tension": "good", "inclination": "good"}, "speed_mm_s": 0.0, **more,
     }  # fmt: skip
+    return {"offers": offered(made), **made}
+
+
+def buttons(made: dict[str, Any]) -> dict[str, str]:
+    """Why each command of the bar would be refused."""
+    found = refused_now(made)
+    return {name: found[name] for name in (verb.name.lower() for verb in BUTTONS)}
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_just_the_commands_that_the_modes_table_allows_are_live(mode: Mode) -> None:
-    enabled = mode is not Mode.DISARMED
-    found = possible(state(mode, *(["drive_enabled"] if enabled else [])), RANGE)
-    assert set(found) == {verb.name.lower() for verb in VERBS}
-    for verb in VERBS:
-        situation = Situation(armed=enabled, wanted_n=100.0, target_min_n=50.0, target_max_n=350.0, carry_s=1.0)
-        assert (found[verb.name.lower()] == "") == (not decide(mode, verb, situation).refusal), verb
+def test_just_the_commands_that_the_loop_would_accept_are_offered(mode: Mode) -> None:
+    on = ["drive_enabled"] if mode is not Mode.DISARMED else []
+    found = refused_now(state(mode, *on))
+    situation = Situation(
+        armed=bool(on), powered=bool(on), wanted_n=100.0, target_min_n=50.0, target_max_n=350.0, carry_s=1.0,
+        measured_mm=52.3, stroke_mm=52.3, at_rest=True, unloaded=True,
+    )  # fmt: skip
+    assert set(found) == {*(verb.name.lower() for verb in Verb), PAY_OUT}
+    for verb in Verb:
+        assert (found[verb.name.lower()] == "") == (not answer(mode, verb, situation).refusal), verb
 
 
 def test_a_check_that_bars_arming_says_so_in_its_words() -> None:
     failing = {"E_STOP": Check.E_STOP.words}
-    found = possible(state(Mode.DISARMED, checks=int(Check.E_STOP), preflight={"failing": failing}), RANGE)
+    found = refused_now(state(Mode.DISARMED, checks=int(Check.E_STOP), preflight={"failing": failing}))
     assert found["arm"] == Check.E_STOP.words
-    assert possible(state(Mode.HOLD, checks=int(Check.E_STOP)), RANGE)["arm"] == "already HOLD"
+    assert refused_now(state(Mode.HOLD, checks=int(Check.E_STOP)))["arm"] == "already HOLD"
 
 
 def test_a_reset_names_the_cause_that_blocks_it() -> None:
     cause = {"fault": "CELL_STALE", "text": "no tension sample", "blocks_reset": True}
-    faulty = state(Mode.FAULT, "drive_enabled", fault="CELL_STALE", fault_code=3)
-    assert possible(faulty, RANGE)["reset"] == ""
-    refusal = possible(faulty | {"causes": [cause]}, RANGE)["reset"]
-    assert "CELL_STALE (no tension sample)" in refusal
+    assert refused_now(state(Mode.FAULT, "drive_enabled", fault="CELL_STALE", fault_code=3))["reset"] == ""
+    found = refused_now(state(Mode.FAULT, "drive_enabled", fault="CELL_STALE", fault_code=3, causes=[cause]))
+    assert "CELL_STALE (no tension sample)" in found["reset"]
 
 
-@pytest.mark.parametrize("broken", [{"mode": None}, {"mode": "NO SUCH"}, {"loop_alive": False}, {"fault_code": 9999}])
-def test_nothing_is_live_where_the_loop_is_not_known(broken: dict[str, Any]) -> None:
-    assert set(possible(state(Mode.HOLD) | broken, RANGE).values()) == {NO_LOOP}
+@pytest.mark.parametrize("broken", [{"mode": None}, {"loop_alive": False}, {"offers": None}])
+def test_nothing_is_offered_where_the_loop_is_not_known(broken: dict[str, Any]) -> None:
+    assert set(refused_now(state(Mode.HOLD) | broken | ({"offers": None} if "mode" in broken else {})).values()) == {
+        NO_LOOP
+    }
 
 
-def test_without_a_drive_that_is_heard_nothing_that_needs_it_is_live() -> None:
-    silent = {"fault": "BUS_SILENT", "text": "no frame", "blocks_reset": True}
-    faulty = state(Mode.FAULT, "drive_enabled", fault="BUS_SILENT", fault_code=1, causes=[silent])
-    found = possible(faulty, RANGE)
-    assert {verb for verb, why in found.items() if not why} == {"disarm"}
-    assert {found[verb] for verb in ("target", "carry", "lower")} == {NO_DRIVE}
-    stuck = silent | {"fault": "ENCODER_STUCK"}
-    found = possible(faulty | {"fault": "ENCODER_STUCK", "causes": [stuck]}, RANGE)
-    assert not found["lower"], "a drive that is heard may lower the load, whatever its encoder shows"
+def test_a_slack_rope_is_paid_out_by_a_length_and_not_released() -> None:
+    made = state(Mode.HOLD, "drive_enabled")
+    found = refused_now(made | {"offers": offered(made, slack=True)})
+    assert (found["release"], found[PAY_OUT]) == ("rope is slack already", "")
+    assert "tight" in refused_now(made)[PAY_OUT]
+
+
+@pytest.mark.parametrize(
+    ("verb", "value", "why"),
+    [
+        ("target", 9999.0, "found 9999, expected 50 to 350 N"), ("target", 300.0, ""), ("carry", 0.5, "rigctl"),
+        ("release", 5000.0, "found 5000, expected 0 to 60 mm"), ("release", 10.0, ""),
+    ],
+)  # fmt: skip
+def test_a_value_is_judged_by_its_bounds(verb: str, value: float, why: str) -> None:
+    made = state(Mode.HOLD, "drive_enabled")
+    found = refused_with(made | {"offers": offered(made, slack=True)}, verb, value)
+    assert (why in found) if why != "rigctl" else found.startswith("carry is not possible in HOLD")
+    assert bool(found) is bool(why)
 
 
 ACTIVE = {"settings": {"cylinder": {"e_stop_input": 0}, "io": {"node": 4}}, "bus_load": 0.412}
@@ -132,12 +153,12 @@ def test_the_answers_are_ready_for_the_browser() -> None:
 
 
 def test_hold_is_no_command_that_waits_for_a_mode() -> None:
-    assert Verb.HOLD not in VERBS
+    assert Verb.HOLD not in BUTTONS
 
 
 def test_each_reason_is_given_once() -> None:
     """The bar shows what the mode forbids with why, and names the commands that share the reason together."""
-    lines = not_now(possible(state(Mode.FAULT, fault="LIMIT", fault_code=18), RANGE))
+    lines = not_now(buttons(state(Mode.FAULT, fault="LIMIT", fault_code=18)))
     assert "ARM, TENSION: not possible in FAULT: reset first" in " ".join(lines).replace("RELEASE, ", "")
     assert len(lines) == len({line.partition(": ")[2] for line in lines})
 

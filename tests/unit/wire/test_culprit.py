@@ -11,6 +11,7 @@ from rigctl.wire.alarm_words import alarm_rows, culprit_rows, listed
 from rigctl.wire.alarms import Alarm, Priority
 from rigctl.wire.operator_view import view
 from rigctl.wire.state_message import culprit_of
+from tests.builders.offered import offered
 
 FOUND = Culprit((Part.ROPE, Part.CELL), "The tension fell.", "does the rope hang loose?", "Keep out.", ("CELL_STUCK",))
 ALIVE = {"loop_alive": True, "mode": "FAULT"}
@@ -67,6 +68,7 @@ def test_alarms_that_follow_are_listed_under_it_without_their_remedies() -> None
 
 def test_the_next_step_is_the_culprits_and_not_the_symptoms_remedy() -> None:
     told = state() | ALIVE | {"fault": "CELL_STUCK", "fault_text": "", "causes": [], "flag_names": [], "quality": {}}
+    told["offers"] = offered(told)
     way_back = "3 See that the hall is empty; take the lock-out off.  4 RESET."
     assert view(told).next_step == f"1 Keep out.  2 Does the rope hang loose?  {way_back}"
     assert Fault.CELL_STUCK.remedy.rstrip(".") in view(told | {"culprit": None}).next_step

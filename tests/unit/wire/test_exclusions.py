@@ -7,15 +7,16 @@ import re
 import pytest
 
 from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Situation, Verb, decide
+from rigctl.control.modes import HeldBy, Mode, Refusal, Verb, decide
+from rigctl.control.situation import Situation
 from rigctl.page.panel import state_message
+from rigctl.wire.offers import BUTTONS
 from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST
-from rigctl.wire.possible_commands import VERBS
 from tests.builders.exclusions import contradictions, said_by_page, said_by_status, said_by_watch
 from tests.builders.page_states import LOCK_OUT, Shown, catalogue, picture_of, state
 
 STATES = list(catalogue())
-BUTTONS = {"", "hold", *(verb.name.lower() for verb in VERBS)}
+NAMED = {"", "hold", *(verb.name.lower() for verb in BUTTONS)}
 
 
 def test_the_catalogue_has_every_mode_and_fault() -> None:
@@ -55,7 +56,7 @@ def test_every_step_can_be_done() -> None:
         assert steps[0]["verb"] == "", shown.name
         assert steps[0]["text"].startswith(("Keep", "See", "Before walking in", "Press the emergency stop")), shown.name
         for step in steps:
-            assert step["verb"] in BUTTONS, shown.name
+            assert step["verb"] in NAMED, shown.name
             refused = message.get("verbs", {}).get(step["verb"], "")
             assert not refused or "once" in step["text"], (shown.name, step, refused)
             for name in re.findall(r"rigctl ([a-z-]+)", step["text"]):

@@ -15,6 +15,7 @@ from rigctl.wire import state_words
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
 from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST, view
+from tests.builders.offered import offered
 from tests.builders.page_states import catalogue
 from tests.unit.wire.test_alarms import event, over, trip
 
@@ -25,10 +26,11 @@ STALE = {
 
 
 def state(mode: Mode, *flags: str, **more: Any) -> dict[str, Any]:
-    return {
+    made = {
         "mode": mode.name, "loop_alive": True, "flag_names": list(flags), "fault": None, "causes": [],
         "target_n": 300.0, "tension_n": 298.7, "quality": {"drive": "good"}, **more,
     }  # fmt: skip
+    return {"offers": offered(made), **made}
 
 
 @pytest.mark.parametrize("mode", Mode)
