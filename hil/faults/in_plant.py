@@ -4,15 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 from hil.faults.stand import Injector, Stand, Step
+from hil.plant import Plant
 from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
+from hil.plant.moves import leg
 from hil.scenario import disturbances, kinds
 
 GONE_MM = 1000.0
 ROPE_N_MM = 1000.0
 """Stiffness of the rope alone, which is left where a spring with a safety chain has broken."""
 CHAIN_MM = 20.0
+_LET_GO_MM_S, _LET_GO_MM_S2 = 30.0, 1000.0
+"""A payload that is let go of moves so fast, and changes its speed so fast."""
 
 
 def rope_breaks() -> Injector:
@@ -80,6 +86,14 @@ def payload_jolts(height_mm: float, rise_s: float) -> Injector:
     """A bump lifts the payload and leaves it slightly higher."""
     jolt = kinds.Jolt(kind="step", height_mm=height_mm, rise_s=rise_s, at_s=0.0)
     return _moved({HEIGHT: disturbances.jolt(jolt)})
+
+
+def let_go_of(plant: Plant) -> None:
+    """A payload that was pulled down goes up to where it hung; one that was lifted stays."""
+    height_mm = plant.truth.height_mm
+    if height_mm < 0.0:
+        rows, end_s = leg(0.0, height_mm, 0.0, _LET_GO_MM_S, _LET_GO_MM_S2)
+        plant.start_motion({HEIGHT: Track(segments=np.array(rows), end=end_s)}, plant.t_ns)
 
 
 def nothing() -> Injector:

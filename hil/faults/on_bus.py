@@ -321,8 +321,9 @@ def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
     """A device's emergency message that reports only some error; its samples go on."""
 
     def inject(stand: Stand) -> None:
-        data = struct.pack("<HB5x", code, register)
-        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + find(stand).id, 8, data))
+        node, data = find(stand), struct.pack("<HB5x", code, register)
+        node.claims_error = True
+        stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node.id, 8, data))
 
     return inject
 

@@ -116,6 +116,8 @@ class Node:
         self._manner = DevicesSettings()
         self.refuses_start = False
         """Defect: NMT start has no effect."""
+        self.claims_error = False
+        """Defect: an emergency message has reported an error that the device does not have."""
         self._boots_ns: int | None = None  # end of the boot-up under way
         self._requests: deque[tuple[int, int, bytes, float]] = deque()  # SDO requests, each with its response time
         self._commands: dict[int, Callable[[], None]] = {
@@ -331,7 +333,10 @@ class Node:
         self._tpdos.clear()
 
     def putting_back(self) -> Callable[[], None]:
-        """What undoes, when called, every `distort`, another manner, and the loss of heartbeat or SYNC from now on."""
+        """What undoes, when called, every `distort`, another manner, and the loss of heartbeat or SYNC from now on.
+
+        An error that an emergency message has claimed since then is withdrawn by another one.
+        """
         readers, heartbeat_ns, sync_cob = dict(self.readers), self._heartbeat_ns, self._sync_cob
         manner, refuses_start = self._manner, self.refuses_start
 
@@ -344,6 +349,9 @@ class Node:
                 self._set_heartbeat(heartbeat_ns // 1_000_000)
             if self._sync_cob is None:
                 self.listen_to_sync(sync_cob)
+            if self.claims_error:
+                self.claims_error = False
+                self._send_emergency(objects.EmcyCode.NO_ERROR)
 
         return undo
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from hil.branching import BranchError
+from hil.faults import in_plant
 from hil.faults.catalogue import ROWS
 from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Bench, by_start, to_tensioning
@@ -20,6 +21,7 @@ from hil.ways_out.step_follower import End, StepFollower
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
+from rigctl.diagnosis.part import Part
 
 SETTLES_S = 4.0
 """After its seconds: a load that is held comes on the brake, and is seen at rest."""
@@ -116,6 +118,8 @@ def _to_end(fault: InjectedFault, stand: Stand, *, leads: bool) -> Any:
     def mend() -> None:
         for action in undo:
             action()
+        if Part.PAYLOAD in parts_of(fault.id):
+            in_plant.let_go_of(stand.plant)
 
     operator = StepFollower(rig, parts_of(fault.id), mend, step)
     operator.run(fault.seconds + fault.after_s + SETTLES_S)

@@ -32,8 +32,8 @@ STEPS, ALIKE = 24, 4
 GOES_ON = frozenset({"arm", "tension", "hold"})
 """Commands of steps that go on with the work, or stop it where it is: no way out."""
 CARRY_S = 60.0
-TRIES, BETWEEN_S = 5, 1.0
-"""Of a command that is refused: what it waits for may come."""
+TRIES, BETWEEN_S = 5, 0.83
+"""Of a command that is refused: what it waits for may come. A payload may bounce once a second: no multiple of that."""
 SETTLES_S, LONGEST_S = 1.0, 120.0
 """A command has had its effect once the mode has stayed for so long; longest wait, a lowering by 2 mm/s."""
 AT_REST_S, AT_REST_MM = 2.0, 0.05
