@@ -44,7 +44,8 @@ class CarriedLoad:
     """``named``: the witness that the operator has named; ``by``: that of now.
 
     ``corrects``: the encoder may correct a stroke that creeps; no more once it has contradicted the tension.
-    ``strayed_mm``: how far the tension is from what the commanded stroke makes of it; 0 while it follows.
+    ``strayed_mm``: how far the tension is from what the commanded stroke makes of it; 0 while it follows. It stays
+    until a witness is named again or a fault is reset.
     """
 
     def __init__(self, settings: RigSettings, rope: RopeMemory) -> None:
@@ -59,6 +60,10 @@ class CarriedLoad:
         """A CARRY or LOWER is accepted, with the witness that the operator has named."""
         self._begin(named)
         self.by = self.choose(standing, snapshot)
+
+    def forget(self) -> None:
+        """The fault that the motor carried the load in is reset."""
+        self._begin(Witness.BOTH)
 
     def _begin(self, named: Witness) -> None:
         self.named = self.by = named

@@ -373,10 +373,13 @@ def motor_may_carry(situation: Situation) -> Refusal:
 
 
 def motor_may_lower(situation: Situation) -> Refusal:
-    """The rope is tight, and with a brake that does not hold one witness is named or both agree."""
+    """The rope is tight, and with a brake that does not hold one witness is named or both agree.
+
+    So it is with a motor that has not followed its command.
+    """
     if situation.slack_by_all:
         return Refusal.ALREADY
-    return witness_known(situation) if situation.brake_fails else Refusal.NONE
+    return witness_known(situation) if situation.brake_fails or situation.strays else Refusal.NONE
 
 
 def witness_known(situation: Situation) -> Refusal:

@@ -407,7 +407,8 @@ class Orders:
             needed_n=brake.wanted_n if brake.fails and snapshot.tension_n < brake.wanted_n else 0.0,
             at_rest=snapshot.still_ns >= arming.STILL_NS,
             room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
-            apart_mm=snapshot.sink_apart_mm,
+            strays=self._carried.strayed_mm != 0.0,
+            apart_mm=snapshot.sink_apart_mm or self._carried.strayed_mm,
             drive_faulted=snapshot.drive_faulted,
             drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
             slack=observer.slack,
@@ -495,6 +496,7 @@ class Orders:
     def acknowledged(self, fault: Fault, t_ns: int) -> None:
         """A latched fault has been reset."""
         self._recheck = True
+        self._carried.forget()
         self._logbook.event(t_ns, Kind.RESET, fault)
 
     def _begin_trial(self, verb: Verb, t_ns: int) -> None:

@@ -31,6 +31,7 @@ class Situation:
     carried_s: float = 0.0  # the motor carries the load for so long because the brake does not; 0: it does not
     e_stop: bool = False  # pressed
     brake_fails: bool = False  # the brake is known not to hold, see rigctl.control.brake_flag
+    strays: bool = False  # the motor that carried did not follow its command, by the tension
     apart_mm: float = 0.0  # encoder and tension differ so much in the motion of the load on the closed brake
     sunk_mm: float = 0.0  # by ARMs alone, since the load was last moved on purpose
     no_brake: bool = False  # the rig file has none, see cylinder.brake_waiver

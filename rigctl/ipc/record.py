@@ -220,7 +220,7 @@ SITUATION = Slot(
         Field("mode", "B", "", "see rigctl.control.modes.Mode; the fields below: see rigctl.control.situation"),
         *(Field(name, code, "", "") for code, names in (
             ("Q", "failed_checks causes fault moves witness pending drive_state"),
-            ("B", "stop_running armed e_stop brake_fails no_brake at_rest drive_faulted drive_unfit slack "
+            ("B", "stop_running armed e_stop brake_fails strays no_brake at_rest drive_faulted drive_unfit slack "
                   "slack_doubted unloaded ends silent left_alone powered disarming tries read_at_arm read_at_motor"),
             ("d", "carried_s apart_mm sunk_mm needed_n room_mm stroke_mm target_min_n target_max_n speed_mm_s "
                   "reading_n"),
