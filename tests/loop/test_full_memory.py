@@ -17,7 +17,7 @@ from tests.builders.waiting import patience_s
 
 pytest_plugins = "pytester"
 SHORT = (
-    r"the rings need (7\.8|2\d\.\d) MB, \d\.\d MB are free \(a container: start it with a larger --shm-size, .*64 MB\)"
+    r"the rings need (7\.\d|2\d\.\d) MB, \d\.\d MB are free \(a container: start it with a larger --shm-size, .*64 MB\)"
 )
 SESSION = """
 import pathlib
