@@ -57,6 +57,7 @@ class Clue:
 
 
 _KEEP_OUT = "Keep out from under the load and leave it as it is; look from outside whether the rope hangs loose."
+_FREE = "Keep out from under the load; free the payload, from beside it, of what caught it."
 _STAY = "Keep out from under the load."
 _RESTART = "Start the daemon anew once the cause is found: it writes all settings again."
 _F = Fault
@@ -224,6 +225,11 @@ def _moves_unfelt(x: Residuals) -> bool:
     return tight and abs(x.gone_mm) > 0.05 and abs(x.unexplained_mm) > 0.6 * abs(x.gone_mm)
 
 
+def _moves_slack(x: Residuals) -> bool:
+    """The rope pulled neither before nor after: no load can move the cylinder."""
+    return abs(x.before_n) < x.slack_n and abs(x.after_n) < x.slack_n
+
+
 def _creeps(x: Residuals) -> bool:
     """The command does not move the stroke, and the tension is kept: without the command the drive would creep.
 
@@ -283,7 +289,7 @@ TABLE: tuple[Clue, ...] = (
     # The drive, its encoder and the brake
     Clue(Part.DRIVE, "A setting of the drive is not what start-up wrote.", f"{_STAY} {_RESTART}",
         lambda x: _F.SUPERVISION_LOST in x.causes, _MOTION),
-    Clue(Part.DRIVE, "The drive does not show that it takes a command: its reports go on unchanged.",
+    Clue(Part.DRIVE, "The drive shows no answer to a command to stop or to switch off.",
         f"{_STAY} Lock the drive out, then switch it off and on again.", lambda x: x.unanswered,
         frozenset({_F.ENCODER_STUCK, _F.DRIVE_MOTIONLESS, _F.DRIVE_UNASKED})),
     Clue(Part.ENCODER, "The drive's position jumped or was counted anew: {fault_words}.",
@@ -328,12 +334,18 @@ TABLE: tuple[Clue, ...] = (
         "not show it.",
         f"{_STAY} Lock the drive out, then check its encoder.", _moves_unfelt,
         frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS})),
+    Clue(Part.ENCODER, "The position moves on the closed brake, and the rope is slack: no load moves it.",
+        f"{_STAY} Lock the drive out, then check its encoder.", _moves_slack,
+        frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS}), Part.BRAKE, "does the cylinder move, against a mark on it?"),
     Clue(Part.BRAKE, "The closed brake lets the load down: {fault_words}.",
         f"{_STAY} rigctl carry has the motor hold the load, rigctl lower lowers it.", _always,
         frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS})),
     Clue(Part.ENCODER, "Holding the stroke takes ever more correction: the encoder drifts, or the drive creeps.",
         f"{_STAY} Read the drive's display.", _always, frozenset({_F.POSITION_DRIFTS}), Part.DRIVE,
         "has the load moved, against a mark on the cylinder?"),
+    Clue(Part.ENCODER, "The stroke left its place by {position_mm_s:.1f} mm/s, and the drive's speed is "
+        "{speed_mm_s:.1f} mm/s.", f"{_STAY} Lock the drive out, then check its encoder.", _contradict,
+        frozenset({_F.STROKE_NOT_HELD})),
     Clue(Part.DRIVE, "The stroke left its place while it was held: the drive creeps, or the brake slips.",
         _STAY, _always, frozenset({_F.STROKE_NOT_HELD}), Part.BRAKE, "was the motor on or the brake closed?"),
     # The inclinometer
@@ -396,9 +408,9 @@ TABLE: tuple[Clue, ...] = (
     Clue(Part.PAYLOAD, "The rope was paid out by {gone_mm:.1f} mm and the tension does not show it: the payload "
         "sinks, or the cell is wrong.", _KEEP_OUT, _unseen, _UNSEEN, Part.CELL, "has the payload moved by so much?"),
     Clue(Part.PAYLOAD, "The tension and the motor's current rise, and the stroke does not explain it: the payload "
-        "is caught or pulled.", _KEEP_OUT, lambda x: _rises(x) and motor_agrees(x), _TENSION),
+        "is caught or pulled.", _FREE, lambda x: _rises(x) and motor_agrees(x), _TENSION),
     Clue(Part.PAYLOAD, "The tension rises by {stretch_mm_s:.1f} mm/s of stretch that the stroke does not explain.",
-        _KEEP_OUT, _rises, _TENSION, Part.CELL, "has the payload moved?"),
+        _FREE, _rises, _TENSION, Part.CELL, "has the payload moved?"),
     Clue(Part.CELL, "Tension and stroke do not fit the plant: the cell's sign or scale, or the stiffness in the file.",
         f"{_STAY} Check sign and scale against a known weight before the next load.", _always,
         frozenset({_F.SIGN_CELL, _F.CELL_FROZEN})),
@@ -409,3 +421,9 @@ TABLE: tuple[Clue, ...] = (
         Part.PAYLOAD, "has the payload or the rail been moved?"),
 )  # fmt: skip
 """In this order; the first row that matches is the one."""
+
+
+def suspects(fault: Fault) -> tuple[Part, ...]:
+    """The parts that a fault may be about, as long as nothing else is known of it."""
+    clues = [clue for clue in TABLE if fault in clue.faults]
+    return tuple(dict.fromkeys(part for clue in clues for part in (clue.part, clue.second) if part is not None))

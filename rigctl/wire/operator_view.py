@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,12 @@ from rigctl.config.quantity import count, number
 from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff, Refusal
 from rigctl.diagnosis.part import Part
+from rigctl.diagnosis.table import suspects
 from rigctl.wire.alarms import Alarm, figure
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now
 from rigctl.wire.state_words import drive, ending, held, mode
-from rigctl.wire.trust import doubts, trusted
+from rigctl.wire.trust import DEVICES, doubts, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
 _HALL = "Keep out of the hall."
@@ -82,6 +83,9 @@ BRAKE_FAILS = "brake_fails"
 """In ``flag_names``: the brake is known not to hold."""
 _ON_MOTOR = ("MOTOR", "TAKING", "NOTHING")
 _SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
+_SAID = frozenset({*_SLIPPING, "E_STOP", "STROKE_JUMPED", "DRIVE_FAULT"})
+"""Causes with steps of their own."""
+_SILENT = "Every device is silent: check the bus, its interface and the devices' power, away from the load."
 _RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
 
 
@@ -264,7 +268,8 @@ def _after_fault(
     elif state.get("power_off") == PowerOff.UNCONFIRMED.name:
         unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
         steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
-    if culprit.get("first") and not (steps and parts == (Part.BRAKE,)):  # what is left of a brake is said already
+    said = _slips(state) and parts == (Part.BRAKE,)  # of a brake that fails, the first steps are given already
+    if culprit.get("first") and not said:
         steps.append(Instruction(_sentence(str(culprit["first"])), places=parts, hands=Hands.MEND))
     name = lock_out or "the drive"
     if not steps and "drive" in doubts(state):
@@ -273,28 +278,44 @@ def _after_fault(
         steps.append(Instruction(_HALL if entry == KEEP_OUT else f"Before walking in, lock out {name}."))
     if culprit.get("question"):
         steps.append(Instruction(_sentence(str(culprit["question"])), places=parts))
-    root = next((cause for cause in causes if cause.stands and cause.blocks_reset), causes[0])
-    if root.remedy and not culprit.get("first"):  # the remedy of a symptom leads to the wrong part
-        steps.append(
-            Instruction(_sentence(_RESET_SAID.sub("", root.remedy).rstrip(".")), places=parts, hands=Hands.MEND)
-        )
-    slips = any(cause.fault in _SLIPPING for cause in causes)
-    if slips and not verbs["lower"]:
+    steps += _of_other_causes(state, causes, parts if culprit.get("first") else ())
+    carried = reason_now(state, "reset") == Refusal.CARRIED.name
+    if (carried or any(cause.fault in _SLIPPING for cause in causes)) and not verbs["lower"]:
         steps.append(Instruction("LOWER has the motor lower the load.", "lower"))
     if entry == LOCK_OUT_FIRST:
         steps.append(Instruction("See that the hall is empty; take the lock-out off."))
     if any(cause.stands and cause.fault == Fault.STROKE_JUMPED.name for cause in causes):
         measured = "Give the stroke measured at the cylinder: rigctl confirm-stroke MM."
         steps.append(Instruction(measured, "confirm-stroke", ReadAtRig.STROKE))
+        homed = "Where the drive has another position, home it with its own tool, or have its encoder repaired."
+        steps += [] if Part.ENCODER in parts else [Instruction(homed, places=(Part.ENCODER,), hands=Hands.MEND)]
     if stopped:
         steps.append(Instruction("Release the emergency stop.", places=(HandsAt.E_STOP,), hands=Hands.RELEASE))
     return *steps, *_reset(state, causes, verbs)
 
 
+def _of_other_causes(
+    state: dict[str, Any], causes: tuple[FaultCause, ...], parts: tuple[str, ...]
+) -> Iterator[Instruction]:
+    """What the active causes need that the step of the culprit, at ``parts``, does not say."""
+    quality = state.get("quality") or {}
+    if all(quality.get(device, "good") != "good" for device in DEVICES) and Part.BUS not in parts:
+        yield Instruction(_SILENT, places=(Part.BUS,), hands=Hands.MEND)
+        return
+    active = [cause for cause in causes if cause.stands]
+    root = next((cause for cause in active if cause.blocks_reset), next(iter(active), causes[0]))
+    over = bool(active) and all(cause.fault != state.get("fault") for cause in active) and root.fault not in _SAID
+    if root.remedy and (over or not parts):  # the remedy of a symptom leads astray
+        places = suspects(Fault.__members__.get(root.fault, Fault.NONE)) or (HandsAt.RIG,)
+        remedy = _sentence(_RESET_SAID.sub("", root.remedy).rstrip("."))
+        yield Instruction(remedy, places=places, hands=Hands.MEND)
+
+
 def _slips(state: dict[str, Any]) -> bool:
-    """The brake has a load that it is known not to hold."""
-    fails = BRAKE_FAILS in state.get("flag_names", []) and state.get("held_by") not in _ON_MOTOR
-    return fails and reason_now(state, "carry") != Refusal.SLACK.name
+    """The brake has a load that it is known not to hold, or that a motor did not hold for it."""
+    fails = BRAKE_FAILS in state.get("flag_names", []) or reason_now(state, "lower") == Refusal.DISAGREE.name
+    slack = reason_now(state, "carry") == Refusal.SLACK.name
+    return fails and not slack and state.get("held_by") not in _ON_MOTOR
 
 
 def _on_brake_that_fails(state: dict[str, Any], verbs: dict[str, str]) -> tuple[Instruction, ...]:

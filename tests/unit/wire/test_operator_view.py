@@ -11,6 +11,7 @@ from rigctl.control.events import Kind, fault_text
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.safety import Action
+from rigctl.diagnosis.part import Part
 from rigctl.wire import state_words
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms
@@ -161,6 +162,39 @@ def test_what_bars_arming_is_the_next_step_while_disarmed() -> None:
     assert [step.verb for step in found.steps] == ["", "", "arm"]
     assert "mergency stop is pressed" in found.steps[1].text
     assert "mergency" not in view(state(Mode.HOLD, preflight={"failing": failing})).next_step
+
+
+def test_a_load_that_the_motor_carries_can_be_lowered_whatever_fault_is_latched() -> None:
+    made = state(Mode.FAULT, "drive_enabled", held_by="MOTOR", fault="DRIVE_CONTRADICTS")
+    found = view(made | {"offers": offered(made, carried_s=59.0)})
+    assert [step.verb for step in found.steps if step.verb] == ["lower", "reset"]
+
+
+def test_where_every_device_is_silent_the_bus_is_looked_at_whatever_was_found_at_the_trip() -> None:
+    culprit = {"parts": ["tension cell's amplifier"], "first": "check the amplifier", "text": "", "follows": []}
+    silent = dict.fromkeys(("drive", "tension", "inclination"), "stale")
+    latched = {"fault": "CELL_STALE", "causes": [STALE], "culprit": culprit}
+    assert Part.BUS in {
+        place for step in view(state(Mode.FAULT, **latched, quality=silent)).steps for place in step.places
+    }
+    one = view(state(Mode.FAULT, **latched, quality=silent | {"drive": "good"}))
+    assert Part.BUS not in {place for step in one.steps for place in step.places}
+
+
+def test_a_cause_that_came_after_the_latched_one_was_over_has_a_step_of_its_own() -> None:
+    culprit = {"parts": ["inclinometer"], "first": "check the inclinometer", "text": "", "follows": []}
+    found = view(state(Mode.FAULT, fault="INCLINATION_STALE", causes=[STALE], culprit=culprit))
+    (mends,) = (step for step in found.steps if step.text == Fault.CELL_STALE.remedy)
+    assert Part.AMPLIFIER in mends.places
+    beside = view(state(Mode.FAULT, fault="CELL_STALE", causes=[STALE], culprit=culprit))
+    assert not any(step.text == Fault.CELL_STALE.remedy for step in beside.steps)
+
+
+def test_a_motor_that_did_not_follow_leaves_the_load_to_be_supported_from_below() -> None:
+    made = state(Mode.FAULT, held_by="BRAKE", fault="LOAD_SINKS")
+    found = view(made | {"offers": offered(made, strays=True, apart_mm=0.6)})
+    assert found.steps[0].text.startswith("Support the payload from below")
+    assert "lower" not in {step.verb for step in found.steps}
 
 
 def test_the_rows_of_status_and_watch_hold_every_answer() -> None:
