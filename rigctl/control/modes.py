@@ -373,12 +373,11 @@ def motor_may_carry(situation: Situation) -> Refusal:
 
 
 def motor_may_lower(situation: Situation) -> Refusal:
-    """The rope is tight, and with a brake that does not hold one witness is named or both agree.
-
-    So it is with a motor that has not followed its command.
-    """
+    """The rope is tight; after a brake or motor that did not hold, a witness is named or both agree."""
     if situation.slack_by_all:
         return Refusal.ALREADY
+    if situation.by not in _WITNESSES:
+        return Refusal.OUT_OF_RANGE
     return witness_known(situation) if situation.brake_fails or situation.strays else Refusal.NONE
 
 

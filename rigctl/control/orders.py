@@ -331,7 +331,8 @@ class Orders:
         situation = self._situation(t_ns, verb).given(values)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
-            barred = 0 if verb is Verb.ARM else modes.barring(verb, situation)
+            named = decision.refusal is Refusal.PREFLIGHT and verb is not Verb.ARM
+            barred = modes.barring(verb, situation) if named else 0
             self._reply_to(t_ns, Answer(id_, verb, decision.refusal), Check(barred))
             return
         if waiting is not None and verb in modes.ENDS_PENDING:

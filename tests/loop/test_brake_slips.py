@@ -251,6 +251,5 @@ def test_a_drive_that_does_not_come_on_ends_with_its_power_off(
 
 @pytest.mark.parametrize("verb", [Verb.CARRY, Verb.LOWER])
 def test_neither_is_a_command_without_a_fault(rig: Lockstep, verb: Verb) -> None:
-    values = (10.0,) if verb is Verb.CARRY else ()
-    assert rig.command(verb, *values) is Refusal.WRONG_MODE
+    assert rig.command(verb, 10.0) is Refusal.WRONG_MODE
     assert not any(int(event["kind"]) == Kind.TRIP for event in rig.events.read())

@@ -200,6 +200,7 @@ def test_guards() -> None:
     assert decide(Mode.FAULT, Verb.CARRY, Situation(carry_s=60.0, apart_mm=0.1)).refusal is Refusal.DISAGREE
     assert decide(Mode.FAULT, Verb.LOWER, Situation(slack=True)).refusal is Refusal.ALREADY
     assert decide(Mode.FAULT, Verb.LOWER, Situation(apart_mm=0.1)) == Decision(event=Event.LOWER)
+    assert decide(Mode.FAULT, Verb.LOWER, Situation(by=3.0)).refusal is Refusal.OUT_OF_RANGE
     assert decide(Mode.FAULT, Verb.LOWER, Situation(apart_mm=0.1, strays=True)).refusal is Refusal.DISAGREE
     assert decide(Mode.FAULT, Verb.LOWER, Situation(apart_mm=0.1, strays=True, by=2.0)) == Decision(event=Event.LOWER)
     assert decide(Mode.HOLD, Verb.RELEASE, Situation(slack=True)).refusal is Refusal.ALREADY
