@@ -56,8 +56,8 @@ _ABOUT_DRIVE = frozenset(
      Refusal.STOP_RUNNING}
 )  # fmt: skip
 """Refusals whose reply has a figure of drive or brake."""
-_MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER, Verb.DISARM})
-"""The load moves on purpose, or its motor has held it: what it sank by the arms before is of no account."""
+_MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER})
+"""The load moves on purpose: what it sank by the arms before is of no account."""
 _MOVING = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 """The motor has the load: no check and no cause is in the way of a command."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
@@ -118,6 +118,7 @@ class Orders:
         self._taken_s = math.nan  # how long that took, where a trial went on after it
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
         self._armed_mm = math.nan  # stroke at the first ARM of a tight rope since the load was moved on purpose
+        self._disarmed_mm = math.nan  # at the last DISARM: what moves from there to the next ARM is no arm's
         self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
 
     def take(self, slot: object, t_ns: int) -> bool:
@@ -470,9 +471,15 @@ class Orders:
 
     def _note_arm(self, verb: Verb) -> None:
         if verb in _MOVES or self._observer.slack:
-            self._armed_mm = math.nan
-        elif verb is Verb.ARM and math.isnan(self._armed_mm):
-            self._armed_mm = self._observer.snapshot.stroke_mm
+            self._armed_mm = self._disarmed_mm = math.nan
+            return
+        stroke_mm = self._observer.snapshot.stroke_mm
+        if verb is Verb.DISARM:
+            self._disarmed_mm = stroke_mm
+        elif verb is Verb.ARM:
+            moved_mm = 0.0 if math.isnan(self._disarmed_mm) else stroke_mm - self._disarmed_mm
+            self._armed_mm = stroke_mm if math.isnan(self._armed_mm) else self._armed_mm + moved_mm
+            self._disarmed_mm = math.nan
 
     def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
         """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""
