@@ -117,6 +117,7 @@ class Lockstep:
         self.clock = self._clock_of_now()
         self._records = runtime.records.reader()
         self._read_from = settings.loop.rate_hz * history_s // 2  # records that wait
+        self._waiting = 0  # ticks since the records were last read
         self._unread: deque[npt.NDArray[Any]] = deque(maxlen=max(1, 2 * UNREAD_S // history_s))
         self._replies = runtime.replies.reader()
         self._commands = runtime.commands.writer()
@@ -152,7 +153,9 @@ class Lockstep:
     def tick(self) -> None:
         """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
         self.loop.tick()
-        if self._records.head - self._records.cursor >= self._read_from:
+        self._waiting += 1
+        if self._waiting >= self._read_from:
+            self._waiting = 0
             self._unread.append(self._records.read())
         if self.loop.machine.starts_anew:
             self.start_anew()
@@ -214,6 +217,7 @@ class Lockstep:
         """Records written since they were last read, of the last ``UNREAD_S``."""
         records = np.concatenate([*self._unread, self._records.read()])
         self._unread.clear()
+        self._waiting = 0
         return records
 
     def inject(self, frame: bytes) -> None:
