@@ -51,7 +51,7 @@ def lease(
 ) -> None:
     """Show who may command the rig; take that over, or give it back.
 
-    One operator commands at a time. The first command takes the lease, every further one renews it for
+    One operator commands at a time. The first command that is accepted takes the lease, every further one renews it for
     telemetry.lease_s; meanwhile others are refused. Taking it from who holds it needs --reason. A lapse, a takeover or
     a terminal that dies never moves the rig. HOLD is accepted from anyone, always; watching needs no lease.
     """

@@ -76,11 +76,10 @@ class LeaseService:
         return lease
 
     def admit(self, request: Request, now_ns: int) -> Request | dict[str, Any]:
-        """The command with the lease it is given under, or the refusal."""
+        """The command with the lease it is given under, which its answer settles (`with_lease`), or the refusal."""
         self.expire(now_ns)
         found = self._register.admit(request.operator, request.lease, now_ns)
         if isinstance(found, Lease):
-            self._save(now_ns)
             return replace(request, lease=found.id)
         why = why_not(found, request.operator, self._register.lease(now_ns), now_ns)
         return refused(request.command, request.operator, found.value, why)
@@ -142,9 +141,10 @@ class LeaseService:
         return self.with_lease(request, message, now_ns)
 
     def with_lease(self, request: Request | LeaseRequest, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
-        """An answer with the lease in force; its id is for its holder alone. A command carried out renews it."""
+        """An answer with the lease in force; its id is for its holder alone. A refused command leaves it as it was."""
         operator, id_ = request.operator, request.lease
-        if message["accepted"] and self._register.renew(operator, id_, now_ns) is not None:
+        if self._register.is_holder(operator, id_, now_ns):
+            (self._register.accept if message["accepted"] else self._register.refuse)(operator, id_, now_ns)
             self._save(now_ns)
         lease = self.shown(now_ns)
         if lease is not None and self._register.is_holder(operator, id_, now_ns):

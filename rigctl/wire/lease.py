@@ -2,6 +2,7 @@
 
 The id proves the operator's name: two terminals of one name are two operators until one shows the id that the other
 got. It is drawn here, sent to its taker alone and shown in the command; it is neither in the state nor on record. A
+command has the lease from its admission on; one that is refused leaves it as it was before. A
 lease ends when it lapses, when it is returned, or by an explicit takeover with a reason; none of these gives the rig a
 command. HOLD needs no lease and takes none.
 """
@@ -79,6 +80,8 @@ class LeaseRegister:
         """``lease``: the one in force at the start."""
         self._duration_ns, self._on_change, self._make_id = duration_ns, on_change, make_id
         self._lease = lease
+        self._kept_until_ns = None if lease is None else lease.until_ns
+        """By what has been accepted; None: no command under this lease has been."""
 
     def lease(self, now_ns: int) -> Lease | None:
         """The lease in force; may be called from any thread."""
@@ -100,36 +103,60 @@ class LeaseRegister:
         """End a lease that has lapsed."""
         if self._lease is not None and self.lease(now_ns) is None:
             lapsed, self._lease = self._lease, None
-            self._on_change(LeaseChange(now_ns, Note.LEASE_LAPSED, lapsed.holder))
+            if self._kept_until_ns is not None:
+                self._on_change(LeaseChange(now_ns, Note.LEASE_LAPSED, lapsed.holder))
 
     def admit(self, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
-        """Renew the lease for a command of ``operator``, who shows ``id_``, or take the lease if nobody holds it."""
-        if (renewed := self.renew(operator, id_, now_ns)) is not None:
-            return renewed
+        """The lease for a command of ``operator``, who shows ``id_``, until `accept` or `refuse` is called for it."""
+        if self.is_holder(operator, id_, now_ns):
+            return self._extend(now_ns)
         self.expire(now_ns)
         if self._lease is not None:
             return Denial.HELD
         if id_ is not None:
             return Denial.LAPSED
-        return self._grant(Note.LEASE_TAKEN, operator, now_ns)
+        self._lease, self._kept_until_ns = self._drawn(operator, now_ns), None
+        return self._lease
 
-    def renew(self, operator: str, id_: str | None, now_ns: int) -> Lease | None:
-        """Extend the holder's lease by its full duration; None for anyone but the holder."""
+    def accept(self, operator: str, id_: str | None, now_ns: int) -> Lease | None:
+        """Renew the lease of the holder whose command was accepted; None for anyone but the holder."""
+        if not self.is_holder(operator, id_, now_ns):
+            return None
+        lease = self._extend(now_ns)
+        self._keep(now_ns)
+        return lease
+
+    def refuse(self, operator: str, id_: str | None, now_ns: int) -> None:
+        """A command was refused: the lease that it had taken or renewed is as it was before."""
         lease = self._lease
         if lease is None or not self.is_holder(operator, id_, now_ns):
-            return None
-        self._lease = replace(lease, until_ns=now_ns + self._duration_ns)
+            return
+        kept = self._kept_until_ns
+        self._lease = None if kept is None else replace(lease, until_ns=kept)
+
+    def _extend(self, now_ns: int) -> Lease:
+        assert self._lease is not None
+        self._lease = replace(self._lease, until_ns=now_ns + self._duration_ns)
         return self._lease
+
+    def _keep(self, now_ns: int) -> None:
+        """The lease is in force by what has been accepted; the first time, it has been taken."""
+        lease = self._lease
+        if lease is not None:
+            taken, self._kept_until_ns = self._kept_until_ns is None, lease.until_ns
+            if taken:
+                self._on_change(LeaseChange(now_ns, Note.LEASE_TAKEN, lease.holder))
 
     def take(self, operator: str, id_: str | None, reason: str, now_ns: int) -> Lease | Denial:
         """Take the lease; from another holder only with a reason."""
-        if (renewed := self.renew(operator, id_, now_ns)) is not None:
+        if (renewed := self.accept(operator, id_, now_ns)) is not None:
             return renewed
         self.expire(now_ns)
         if self._lease is None:
             return self._grant(Note.LEASE_TAKEN, operator, now_ns, reason=reason)
         if not reason:
             return Denial.HELD
+        self._keep(now_ns)
         return self._grant(Note.LEASE_TAKEN_OVER, operator, now_ns, self._lease.holder, reason)
 
     def give_back(self, operator: str, id_: str | None, now_ns: int) -> Denial | None:
@@ -144,6 +171,10 @@ class LeaseRegister:
         return None
 
     def _grant(self, kind: Note, operator: str, now_ns: int, other: str = "", reason: str = "") -> Lease:
-        lease = self._lease = Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)
+        lease = self._lease = self._drawn(operator, now_ns)
+        self._kept_until_ns = lease.until_ns
         self._on_change(LeaseChange(now_ns, kind, operator, other, reason))
         return lease
+
+    def _drawn(self, operator: str, now_ns: int) -> Lease:
+        return Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)

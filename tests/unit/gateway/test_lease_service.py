@@ -35,7 +35,22 @@ def lease_of(service: LeaseService, operator: str, now_ns: int) -> str:
     given = service.admit(Request(Verb.DISARM, operator), now_ns)
     assert isinstance(given, Request)
     assert given.lease is not None
+    service.with_lease(given, {"accepted": True}, now_ns)
     return given.lease
+
+
+def test_a_refused_command_leaves_no_lease_behind(runtime: Runtime) -> None:
+    service = LeaseService(runtime, 300, 1 * S)
+    given = service.admit(Request(Verb.TARGET, "anna", 9999.0), 2 * S)
+    assert isinstance(given, Request)
+    assert service.shown(2 * S) is not None
+    assert service.with_lease(given, {"accepted": False}, 3 * S)["lease"] is None
+    assert notes(runtime) == []
+    lease = lease_of(service, "anna", 4 * S)
+    again = service.admit(Request(Verb.TARGET, "anna", 9999.0, lease=lease), 100 * S)
+    assert isinstance(again, Request)
+    shown = service.with_lease(again, {"accepted": False}, 100 * S)["lease"]
+    assert (shown["until_ns"], shown["id"]) == (304 * S, lease)
 
 
 def test_the_next_gateway_goes_on_with_the_lease(runtime: Runtime) -> None:

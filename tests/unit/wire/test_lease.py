@@ -42,13 +42,42 @@ def granted(found: Lease | Denial) -> Lease:
     return found
 
 
+def commanded(rig: Rig, operator: str, id_: str | None, now_ns: int) -> Lease | Denial:
+    """A command that the rig carries out at once."""
+    found = rig.register.admit(operator, id_, now_ns)
+    return rig.register.accept(operator, found.id, now_ns) or found if isinstance(found, Lease) else found
+
+
 def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> None:
     rig = Rig()
-    first = granted(rig.register.admit("anna", None, 0))
+    first = granted(commanded(rig, "anna", None, 0))
     assert (first.holder, first.since_ns, first.until_ns) == ("anna", 0, TERM)
-    again = granted(rig.register.admit("anna", first.id, TERM - 1))
+    again = granted(commanded(rig, "anna", first.id, TERM - 1))
     assert (again.id, again.since_ns, again.until_ns) == (first.id, 0, 2 * TERM - 1)
     assert rig.changes == [LeaseChange(0, Note.LEASE_TAKEN, "anna")]
+
+
+def test_a_refused_command_neither_takes_nor_renews_the_lease_but_keeps_others_out_until_then() -> None:
+    rig = Rig()
+    first = granted(rig.register.admit("anna", None, 0))
+    assert rig.register.admit("kim", None, 1) is Denial.HELD
+    rig.register.refuse("anna", first.id, 2)
+    assert rig.register.lease(2) is None
+    assert rig.changes == []
+    kims = granted(commanded(rig, "kim", None, 3))
+    granted(rig.register.admit("kim", kims.id, TERM))
+    rig.register.refuse("kim", kims.id, TERM + 1)
+    assert rig.register.lease(TERM + 2) == kims
+    assert rig.register.lease(TERM + 3) is None
+
+
+def test_a_takeover_while_the_first_command_runs_is_noted_with_its_giver() -> None:
+    rig = Rig()
+    first = granted(rig.register.admit("anna", None, 0))
+    granted(rig.register.take("kim", None, "a reason", 1))
+    rig.register.refuse("anna", first.id, 2)
+    assert rig.holder(2) == "kim"
+    assert [change.kind for change in rig.changes] == [Note.LEASE_TAKEN, Note.LEASE_TAKEN_OVER]
 
 
 @pytest.mark.parametrize(
@@ -58,17 +87,17 @@ def test_the_first_command_takes_the_lease_and_every_further_one_renews_it() -> 
 )
 def test_a_second_operator_is_refused_while_the_lease_runs(operator: str, shown: str | None) -> None:
     rig = Rig()
-    assert granted(rig.register.admit("anna", None, 0)).id == ID
+    assert granted(commanded(rig, "anna", None, 0)).id == ID
     assert rig.register.admit(operator, shown, TERM - 1) is Denial.HELD
     assert rig.register.take(operator, shown, "", TERM - 1) is Denial.HELD  # a takeover needs a reason
     assert rig.register.give_back(operator, shown, TERM - 1) is Denial.HELD
-    assert rig.register.renew(operator, shown, TERM - 1) is None
+    assert rig.register.accept(operator, shown, TERM - 1) is None
     assert rig.register.lease(TERM - 1) == Lease(ID, "anna", 0, TERM)
 
 
 def test_a_takeover_is_noted_with_both_names_and_the_reason() -> None:
     rig = Rig()
-    old = granted(rig.register.admit("anna", None, 0))
+    old = granted(commanded(rig, "anna", None, 0))
     new = granted(rig.register.take("kim", None, "anna left", 5))
     assert new.id != old.id
     assert rig.changes[-1] == LeaseChange(5, Note.LEASE_TAKEN_OVER, "kim", "anna", "anna left")
@@ -78,7 +107,7 @@ def test_a_takeover_is_noted_with_both_names_and_the_reason() -> None:
 
 def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
     rig = Rig()
-    old = granted(rig.register.admit("anna", None, 0))
+    old = granted(commanded(rig, "anna", None, 0))
     assert rig.register.has_lapsed(TERM)
     assert not rig.register.has_lapsed(TERM - 1)
     assert rig.register.admit("anna", old.id, TERM) is Denial.LAPSED
@@ -92,7 +121,7 @@ def test_a_lapsed_id_is_not_taken_for_a_new_one() -> None:
 def test_a_lease_given_back_is_anyones() -> None:
     rig = Rig()
     assert rig.register.give_back("anna", None, 0) is Denial.NOT_HELD
-    lease = granted(rig.register.admit("anna", None, 0))
+    lease = granted(commanded(rig, "anna", None, 0))
     assert rig.register.give_back("anna", lease.id, 1) is None
     assert rig.changes[-1] == LeaseChange(1, Note.LEASE_RETURNED, "anna")
     assert granted(rig.register.admit("kim", None, 2)).holder == "kim"
@@ -105,9 +134,25 @@ def test_ids_are_unguessable_and_have_the_form_of_an_id() -> None:
     assert all(is_id(id_) for id_ in ids)
 
 
+def acted(rig: Rig, what: str, operator: str, id_: str | None, now_ns: int) -> Lease | Denial | None:
+    match what:
+        case "command":
+            return commanded(rig, operator, id_, now_ns)
+        case "refused command":
+            if isinstance(admitted := rig.register.admit(operator, id_, now_ns), Lease):
+                rig.register.refuse(operator, admitted.id, now_ns)
+        case "give back":
+            return rig.register.give_back(operator, id_, now_ns)
+        case "look":
+            rig.register.expire(now_ns)
+        case _:
+            return rig.register.take(operator, id_, "a reason" if what == "take for a reason" else "", now_ns)
+    return None
+
+
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(["command", "take", "take for a reason", "give back", "look"]),
+        st.sampled_from(["command", "refused command", "take", "take for a reason", "give back", "look"]),
         st.sampled_from(["anna", "kim"]),
         st.none() | st.integers(0, 5),  # the id shown: none, or one of the newest
         st.integers(0, TERM + S),
@@ -126,16 +171,7 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_noted(ste
         before, until_ns = rig.register.lease(now), 0
         id_ = None if shown is None else ids[-1 - shown % len(ids)]
         rig.changes.clear()
-        found: Lease | Denial | None = None
-        match what:
-            case "command":
-                found = rig.register.admit(operator, id_, now)
-            case "give back":
-                found = rig.register.give_back(operator, id_, now)
-            case "look":
-                rig.register.expire(now)
-            case _:
-                found = rig.register.take(operator, id_, "a reason" if what == "take for a reason" else "", now)
+        found = acted(rig, what, operator, id_, now)
         for change in rig.changes:
             assert change.t_ns == now
             match change.kind:
