@@ -495,7 +495,7 @@ NEEDS_MOTOR = frozenset(
     {Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER, Verb.BRAKE_TEST}
 )
 """With the load on the brake, these first have the motor take it back."""
-ENDS_PENDING = frozenset({Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
+ENDS_PENDING = frozenset({Verb.ARM, Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
 """Accepted, these end a command that waits for the drive or for its read-back."""
 CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
 """Commands for a load that the brake does not hold."""

@@ -98,10 +98,11 @@ def test_a_load_that_the_brake_does_not_hold_is_barred_by_what_concerns_its_witn
 
 def machines() -> dict[str, Machine]:
     """Machines with something under way, by what that is."""
-    made = {name: Machine() for name in ("stopping", "silent", "arming", "trial", "disarming")}
+    made = {name: Machine() for name in ("stopping", "silent", "arming", "resetting", "trial", "disarming")}
     made["stopping"].stop()
     made["silent"].trip(Trip(Fault.DRIVE_STALE, 1.0, 0.0, Action.SILENCE), 0)
     made["arming"].command(1, Verb.ARM, READY, 0)
+    made["resetting"].command(1, Verb.RESET, replace(READY, drive_faulted=True), 0)
     made["trial"].command(1, Verb.TARE, READY, 0)
     made["disarming"].mode = Mode.HOLD
     made["disarming"].command(1, Verb.DISARM, READY, 0)
@@ -120,3 +121,7 @@ def test_a_machine_answers_what_its_situation_says(name: str, verb: Verb, failed
     assert (given_now or Refusal.NONE) is said
     if said is not Refusal.NONE:
         assert (machine.mode, machine.pending, machine.trial, machine.disarming) == before
+    after = machine.pending, machine.trial, machine.disarming
+    ended = any(was and now != was for was, now in zip(before[1:], after, strict=True))
+    answers = [answered.id for answered in machine.outcome().answers]
+    assert 1 in answers or not ended, "what was under way is answered once it has given way"
