@@ -269,13 +269,14 @@ def _after_fault(
         unpowered = "Press the emergency stop and secure the load: nothing shows that the drive has no power."
         steps.append(Instruction(unpowered, places=(HandsAt.E_STOP,), hands=Hands.PRESS))
     said = _slips(state) and parts == (Part.BRAKE,)  # of a brake that fails, the first steps are given already
+    name = lock_out or "the drive"
+    if entry == LOCK_OUT_FIRST:
+        steps.append(Instruction(f"Before walking in, lock out {name}."))
     if culprit.get("first") and not said:
         steps.append(Instruction(_sentence(str(culprit["first"])), places=parts, hands=Hands.MEND))
-    name = lock_out or "the drive"
-    if not steps and "drive" in doubts(state):
-        steps.append(Instruction(f"Keep out. To go in: emergency stop, lock out {name}."))
     elif not steps:
-        steps.append(Instruction(_HALL if entry == KEEP_OUT else f"Before walking in, lock out {name}."))
+        blind = f"Keep out. To go in: emergency stop, lock out {name}."
+        steps.append(Instruction(blind if "drive" in doubts(state) else _HALL))
     if culprit.get("question"):
         steps.append(Instruction(_sentence(str(culprit["question"])), places=parts))
     steps += _of_other_causes(state, causes, parts if culprit.get("first") else ())

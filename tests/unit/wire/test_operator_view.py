@@ -65,7 +65,8 @@ def test_nobody_walks_in_before_a_power_off_is_confirmed(shown: str) -> None:
 def test_a_confirmed_power_off_says_by_what() -> None:
     found = view(state(Mode.FAULT, held_by="BRAKE", fault="CELL_STALE", causes=[STALE], power_off="TENSION"))
     assert found.entry == LOCK_OUT_FIRST
-    empty, reset, _anew = found.steps[-3:]
+    on, *_, empty, reset, _anew = found.steps
+    assert on.text == "Before walking in, lock out the drive."
     assert empty.text == "See that the hall is empty; take the lock-out off."  # who went in comes out again
     assert reset.verb == "reset"
     assert "a tension at rest" in found.does
