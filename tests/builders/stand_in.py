@@ -11,6 +11,7 @@ import pathlib
 import signal
 import sys
 import time
+from dataclasses import replace
 from typing import Any
 
 from rigctl.control.checks import Check
@@ -19,7 +20,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import HoldSockets
 from rigctl.control.modes import TRANSITIONS, Decision, Event, HeldBy, Mode, Refusal, Setting, Verb, decide, next_mode
 from rigctl.control.safety import Action
-from rigctl.control.situation import Situation
+from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import RECORD, REPLY, Flag
 from rigctl.ipc.runtime_folder import Runtime
@@ -34,6 +35,7 @@ class StandIn:
 
     def __init__(self, runtime: Runtime) -> None:
         self.records, self.events = runtime.records.writer(), runtime.events.writer()
+        self.situations = runtime.situations.writer()
         self.replies, self.commands = runtime.replies.writer(), runtime.commands.reader()
         self.holds = HoldSockets(runtime)
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
@@ -44,6 +46,14 @@ class StandIn:
     @property
     def failed(self) -> int:
         return self.own | self.host
+
+    def situation(self) -> Situation:
+        on = self.mode is not Mode.DISARMED
+        return Situation(
+            self.failed, fault=self.fault, armed=on, powered=on, slack=self.tension < 5, unloaded=True,
+            room_mm=60.0, stroke_mm=self.stroke, target_min_n=50.0, target_max_n=350.0,
+            pending=Verb.ARM if self.arming else 0,
+        )  # fmt: skip
 
     def event(self, now: int, kind: Kind, a: int = 0, b: int = 0, value: float = 0.0, limit: float = 0.0) -> None:
         self.events.write(now, int(kind), a, b, value, limit, b"")
@@ -69,15 +79,7 @@ class StandIn:
         verb = Verb(int(command["verb"]))
         if verb is Verb.TARGET and target == SILENT_N:
             return
-        situation = Situation(
-            self.failed,
-            armed=self.mode is not Mode.DISARMED,
-            slack=self.tension < 5,
-            wanted_n=target,
-            target_min_n=50.0,
-            target_max_n=350.0,
-        )
-        decision = decide(self.mode, verb, situation)
+        decision = decide(self.mode, verb, replace(self.situation(), wanted_n=target))
         if decision.refusal is Refusal.NONE and verb is Verb.ARM:
             self.arming = (number, now + ARM_NS)
             return
@@ -132,6 +134,8 @@ class StandIn:
             "inclination_quality": 1, "frames_sent": tick, "checks": self.failed,
         }  # fmt: skip
         self.records.write(*values.values())
+        if tick % 100 == 0:
+            self.situations.write(*slot_values(now, self.mode, self.situation()))
 
 
 def main() -> None:

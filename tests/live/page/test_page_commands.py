@@ -97,8 +97,9 @@ def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Run
     said(seen, "ARM: armed, HOLD")
     mode(seen, "HOLD")
     seen.page.fill("#newtons", "1000")
-    give(seen, "target")
-    said(seen, "TARGET refused: target must be 50 to 350 N")
+    seen.page.click("[data-verb=target]")
+    said(seen, "TARGET refused: found 1000, expected 50 to 350 N")  # before it is to be confirmed
+    assert seen.run("document.querySelector('#confirm').hidden")
     seen.page.fill("#newtons", "60")
     give(seen, "target")
     said(seen, "TARGET: 60 N")
@@ -147,16 +148,16 @@ def test_a_confirmation_holds_for_the_rig_as_it_was(seen: PageView, running: Run
     try:
         status, first = server.command("command", {"verb": "arm"})
         assert (status, first["accepted"]) == (200, True)
-        status, second = server.command("command", {"verb": "disarm"})
+        status, second = server.command("command", {"verb": "arm"})
         status, answer = server.command("confirm", {"confirm": first["confirm"]})
         assert status == 409  # another command waits
         assert "ask again" in answer["text"]
         assert server.command("confirm", {"confirm": second["confirm"]})[0] == 409  # and is spent
-        proposals = [server.command("command", {"verb": "disarm"})[1]["confirm"]]
+        status, answer = server.command("command", {"verb": "disarm"})
+        assert status == 409  # what the loop would refuse is not to be confirmed first
+        assert "already DISARMED" in answer["text"]
         arm = daemons.rigctl("arm", "--operator", "kim", file=running.file)
         assert arm.returncode == 1  # the name alone is not the lease
-        status, answer = server.command("confirm", {"confirm": proposals[0]})
-        assert "already DISARMED" in answer["text"]  # the loop's own refusal, in words
         _, arming = server.command("command", {"verb": "arm"})
         _, done = server.command("confirm", {"confirm": arming["confirm"]})
         assert done["accepted"], done
