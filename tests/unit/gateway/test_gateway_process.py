@@ -338,9 +338,7 @@ def test_the_state_names_the_culprit_of_the_latched_fault_until_its_reset(rig: R
 def test_a_lease_that_lapses_is_noted_also_while_no_command_comes(tmp_path: pathlib.Path) -> None:
     rig = Rig(tmp_path, lease_s=0)
     try:
-        answer = rig.ask("disarm")
-        rig.answer(rig.order(Verb.DISARM))
-        assert answer.result(patience_s())["accepted"]
+        assert rig.ask("lease_take").result(patience_s())["accepted"]
         rig.gateway.publish()
         until(lambda: (int(Note.LEASE_LAPSED), KIM) in notes(rig.runtime))
     finally:
