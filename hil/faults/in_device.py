@@ -29,6 +29,8 @@ FREE_KG = 50.0
 """Rotor and screw as seen by the rope, where nothing but their mass and the screw's friction resists the load."""
 _ANEW_NS = 5_000_000
 _WORD_BYTES = 2  # the controlword is the first object of the command PDO
+_ENABLES = 0x0008  # bit of the controlword
+_DISABLED = DriveState.SWITCH_ON_DISABLED.value
 
 
 def reads(
@@ -331,6 +333,22 @@ def hangs() -> Injector:
 
     def inject(stand: Stand) -> None:
         stand.drive.hung = True
+
+    return inject
+
+
+def lies_off() -> Injector:
+    """Once it is commanded off, the drive reports that it is off, and its motor keeps its power."""
+
+    def inject(stand: Stand) -> None:
+        off: list[bool] = [False]
+
+        def taken(data: bytes) -> bytes | None:
+            off[0] = not int.from_bytes(data[:_WORD_BYTES], "little") & _ENABLES
+            return None if off[0] else data
+
+        stand.drive.rpdo_defect = taken
+        stand.drive.distort(*STATUS, lambda word: word & ~objects.DRIVE_STATE_MASK | _DISABLED if off[0] else word)
 
     return inject
 

@@ -56,6 +56,8 @@ _CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RES
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
 SETTLES_NS = REST_NS + 1_000_000_000  # from a closed brake to a load seen at rest, once it has swung out
+CURRENT_SHARE, CURRENT_NS = 0.05, 500_000_000
+"""Of the motor's rated current, for so long after the drive reports off: more shows power, less shows nothing."""
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
@@ -87,15 +89,14 @@ class Observer:
         self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed from the run-out table
-        self.rail_age_ns = 0
-        self.skipped = self.just_skipped = 0
+        self.rail_age_ns = self.skipped = self.just_skipped = 0
         self.sensitivity_peak = self.sensitivity_peak_error = math.nan  # of this COMPENSATING, from the gateway
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
         leads = settings.estimator.inclination_swing_hz is not None
         self._stretch_lead = StretchLead(settings) if leads else None
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
         self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
-        self._errors_before = 0  # error frames older than a second
+        self._errors_before = self._no_current_ns = 0  # error frames older than a second; last tick that shows no power
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
         # Plain frames come at the device's own time: a SYNC says nothing about them.
@@ -105,6 +106,7 @@ class Observer:
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._status_stale_ns = status_stale_ns(settings)
+        self._current_a = CURRENT_SHARE * (settings.cylinder.rated_current_a or math.inf)
         self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
         self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
@@ -242,6 +244,8 @@ class Observer:
     def braked(self) -> bool:
         """The drive reports now that it is off, and has for its brake's time, with the stroke at rest or its power cut.
 
+        Not while the motor has current.
+
         Drives report an off state from the begin of their ramp on, which ends at standstill; a stroke that does not
         come to rest needs disable voltage. An encoder may be stuck, so the ramp's own time is waited for as well. A
         word that leads to power may have its effect late: the time begins anew.
@@ -249,7 +253,8 @@ class Observer:
         snapshot = self.snapshot
         stopped_ns = min(snapshot.still_ns, snapshot.off_ns - self._stopping_ns)
         off_ns = min(snapshot.off_ns, self._not_on_ns, max(stopped_ns, self._cut_ns))
-        return snapshot.drive_age_ns <= self._stale_ns and off_ns >= self._brake_ns
+        known = snapshot.drive_age_ns <= self._stale_ns
+        return known and off_ns >= self._brake_ns and not snapshot.drive_current_flows
 
     @property
     def shown_off(self) -> bool:
@@ -280,7 +285,8 @@ class Observer:
         snapshot, fresh = self.snapshot, self.inbox.drive_fresh
         state = drive_state(self.inbox.statusword)
         commanded_on, powered = self._outbox.controlword in _ON_COMMANDS, state not in UNPOWERED_STATES
-        snapshot.drive_may_be_on = commanded_on or (powered if fresh else snapshot.drive_may_be_on)
+        reported = powered if fresh else snapshot.drive_may_be_on
+        snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_has_current
         snapshot.drive_stops = state in STOPPING_STATES
         speed_mm_s = max(abs(snapshot.speed_mm_s) if fresh else self._fastest_mm_s, abs(self._law.command_mm_s))
         self._fastest_mm_s = speed_mm_s
@@ -316,7 +322,11 @@ class Observer:
         snapshot.status_age_ns = now_ns - inbox.drive_status_t_ns
         stale = snapshot.status_age_ns > self._status_stale_ns
         snapshot.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
-        snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
+        current_a = snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
+        snapshot.drive_current_flows = current_a > self._current_a or current_a < -self._current_a
+        if not (snapshot.drive_current_flows and snapshot.drive_off):
+            self._no_current_ns = now_ns
+        snapshot.drive_has_current = now_ns - self._no_current_ns >= CURRENT_NS
         snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
     def _look_at_sinking(self, now_ns: int) -> None:

@@ -64,6 +64,8 @@ class Snapshot:
     node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
     drive_temperature_c: float = math.nan
     drive_current_a: float = math.nan
+    drive_current_flows: bool = False  # more than a motor without power has
+    drive_has_current: bool = False  # for so long that it has power, though it reports that it is off
     e_stop: int = 0  # inputs that read as pressed, bits of EStop
     e_stop_unseen: bool = False  # the drive has the input, but its state is stale
     io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted

@@ -18,6 +18,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
+from rigctl.control.observer import CURRENT_NS
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
@@ -113,6 +114,21 @@ def test_a_load_at_rest_is_no_power_off_while_the_motor_may_carry_it(rig: Lockst
         assert not shown(rig).confirmed
     assert rig.rig.drive.control.stage.powered
     assert shown(rig) is PowerOff.UNCONFIRMED
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_motor_that_carries_is_on_whatever_its_drive_reports(rig: Lockstep) -> None:
+    """It was held by the brake with the drive off, and the DISARM was confirmed."""
+    assert rig.command(Verb.HOLD) is Refusal.NONE
+    rig.run(0.2)
+    in_device.lies_off()(Stand(rig, "lies off"))
+    disarmed = rig.give(Verb.DISARM)
+    records = rig.run(CURRENT_NS * 1e-9)
+    assert rig.loop.observer.snapshot.drive_off  # by its own report
+    assert HeldBy.BRAKE not in records["held_by"]
+    assert rig.reply_to(disarmed) is None
+    rig.run(1.5)
+    assert rig.loop.machine.fault is Fault.DRIVE_UNASKED
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
