@@ -51,7 +51,7 @@ def test_whatever_an_io_node_sends_what_leaves_for_the_drive_stays_inside_its_li
     settings: RigSettings, gains: Gains
 ) -> None:
     fitted = settings.model_copy(update={"io": IoSettings(e_stop_input=3)})
-    runs = [frames.play(fitted, gains, 30_000, seed=seed) for seed in (5, 6)]  # not every run trips by its input
+    runs = [frames.play(fitted, gains, 30_000, seed=seed) for seed in (5, 10)]  # one of ten runs trips by its input
     modes, faults = set[str]().union(*(run.modes for run in runs)), set[str]().union(*(run.faults for run in runs))
     assert [run.wrong for run in runs] == [[], []]
     assert modes >= {"HOLD", "TENSIONING", "FAULT"}
