@@ -118,6 +118,15 @@ SUPERVISION = (
         for name, what, index, sub, _ in OWN_STOP
     ),
     InjectedFault(
+        "lost_quick_stop_ramp",
+        "its quick stop ramp (0x6085) reads 1 mm/s2: its own service connection wrote it",
+        in_device.setting_lost(objects.QUICK_STOP_DECELERATION, 0, 1_000),
+        HOLD,
+        within_ms=ROTATION_MS,
+        seconds=1.5,
+        why="it is stopped by commands: a quick stop would take place on that ramp",
+    ),
+    InjectedFault(
         "sdo_silent",
         "the drive's SDO server does not answer any more",
         on_bus.silent(on_bus.drive, objects.SDO_TX_BASE),

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.devices import sdo
+from rigctl.devices.objects import QUICK_STOPS_BY
 from rigctl.devices.sdo import Watched
 
 TRIES = 3  # requests without an answer before a device counts as silent
@@ -74,10 +75,14 @@ class Readback:
 
     @property
     def drive_changed(self) -> int:
-        """Objects of the drive that were found with another value: it may not stop by itself any more."""
+        """Objects of the drive that were found with another value: it may not stop by itself any more.
+
+        0 where its quick stop is among them: it would stop on an unknown ramp, and has to be commanded to.
+        """
         if not self.lost:
             return 0
-        return sum(item.node == self._drive_node and lost.found is not None for item, lost in self.lost.items())
+        changed = [item for item, lost in self.lost.items() if item.node == self._drive_node and lost.found is not None]
+        return 0 if any((item.index, item.sub) in QUICK_STOPS_BY for item in changed) else len(changed)
 
     @property
     def worst(self) -> str:

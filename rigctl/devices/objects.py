@@ -141,6 +141,8 @@ DRIVE_OBEYS_BY = frozenset(
      *((RPDO1_COMMUNICATION, sub) for sub in (1, 2)), *((RPDO1_MAPPING, sub) for sub in (0, 1, 2))}
 )  # fmt: skip
 """Objects without which the drive does not follow commands (0x60B1: velocity offset)."""
+QUICK_STOPS_BY = frozenset({(QUICK_STOP_OPTION, 0), (QUICK_STOP_DECELERATION, 0)})
+"""Objects without which the drive's quick stop is not the one that start-up wrote."""
 
 MM_PER_POSITION_UNIT = 1e-3
 MM_S_PER_VELOCITY_UNIT = 1e-3

@@ -135,6 +135,23 @@ def test_a_drive_that_does_not_take_commands_as_it_should_loses_its_power(
     assert not rig.rig.drive.control.enabled
 
 
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_drive_whose_quick_stop_was_changed_is_stopped_by_commands(rig: Lockstep) -> None:
+    """The ramp of the set-point moves the stroke at 8 mm/s; the quick stop's own ramp would take 34 mm."""
+    assert rig.command(Verb.TARGET, 220.0) is Refusal.NONE
+    rig.run(0.3)
+    set_unheard(rig, od.QUICK_STOP_DECELERATION, value=1_000)
+    for _ in range(round((rotation_s(rig) + 0.02) * rig.settings.loop.rate_hz)):
+        rig.tick()
+        if rig.loop.machine.mode is Mode.FAULT:
+            break
+    assert rig.loop.machine.fault is Fault.SUPERVISION_LOST
+    before_mm = rig.rig.truth.stroke_mm
+    rig.run(1.0)
+    assert rig.loop.machine.action is Action.HOLD
+    assert abs(rig.rig.truth.stroke_mm - before_mm) < 0.6
+
+
 def test_every_object_that_start_up_verified_is_watched_in_every_device(rig: Lockstep) -> None:
     watched = {(item.node, item.index, item.sub) for item in rig.report.watched}
     assert {(4, index, sub) for index, sub, _ in WRITES} <= watched
