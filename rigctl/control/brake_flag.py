@@ -12,7 +12,7 @@ from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import fall_limit_n
-from rigctl.control.load_at_rest import STROKE_DOUBTED
+from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.sinking import JUMP_MM
 from rigctl.control.snapshot import Snapshot
@@ -24,7 +24,6 @@ FALLS, FALLS_NS = 2.0, 5_000_000_000
 """Limits of LOAD_SINKS that the tension has to have lost, and for how long, while the encoder is in doubt."""
 TESTED_SHARE = 0.8
 """Of the load at which the brake slipped: a test with less shows nothing."""
-STROKE_BITS = sum(1 << fault for fault in STROKE_DOUBTED)
 _SLIP_BITS = 1 << Fault.STROKE_MOVES | 1 << Fault.BRAKE_SLIPS
 _SINK_BIT = 1 << Fault.LOAD_SINKS
 _KNOWN_BEFORE = "known before this start"

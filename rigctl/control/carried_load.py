@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.brake_flag import STROKE_BITS
 from rigctl.control.faults import Fault
+from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import CONTRADICTED_BIT, RopeMemory
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot

@@ -15,16 +15,18 @@ from rigctl.control.snapshot import Snapshot
 REST_NS = round(REST_S * 1e9)
 REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
 STILL_MM = 0.02  # of stretch: the swing of a payload on air bearings falls and rises again by 0.01 mm
+FALLS_NS = 750_000_000  # a fall of more: that of a payload that bounces ends sooner, seen over 0.5 s
 _SMOOTH_S = 0.05  # of the cell's noise
-CELL_DOUBTED = frozenset(
+_CELL_DOUBTED = frozenset(
     {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL,
      Fault.STRETCH_UNEXPLAINED, Fault.INNOVATION, Fault.CELL_FROZEN, Fault.LOAD_UNSEEN, Fault.SENSOR_EMERGENCY}
 )  # fmt: skip
-"""Faults after which a tension at rest shows nothing."""
-STROKE_DOUBTED = frozenset(
+_STROKE_DOUBTED = frozenset(
     {Fault.ENCODER_STUCK, Fault.DRIVE_CONTRADICTS, Fault.POSITION_DRIFTS, Fault.STROKE_JUMPED, Fault.DRIVE_MOTIONLESS}
 )
-"""Faults after which a stroke at rest shows nothing."""
+CELL_BITS = sum(1 << fault for fault in _CELL_DOUBTED)
+STROKE_BITS = sum(1 << fault for fault in _STROKE_DOUBTED)
+"""Causes, bits 1 << fault, while which a tension or a stroke at rest shows nothing."""
 
 
 class LoadRest:
@@ -43,20 +45,23 @@ class LoadRest:
         self._tension_n = self._reference_n = math.nan
         self._from_ns = 0
         self.tension_seen = self.slack = False
-        self.tension_ns = 0
+        self.tension_ns = self._falls_ns = 0
         self.shown = LoadAtRest.UNKNOWN
 
-    def look(self, fault: Fault, snapshot: Snapshot) -> LoadAtRest:
-        """One tick with ``fault`` latched."""
+    def look(self, causes: int, snapshot: Snapshot) -> LoadAtRest:
+        """One tick; ``causes``: the fault that is latched and the causes that are active, bits 1 << fault."""
         self.tension_seen = (
-            fault not in CELL_DOUBTED and not snapshot.cell_frozen
+            not causes & CELL_BITS and not snapshot.cell_frozen
             and snapshot.cell_quality == 0 and snapshot.cell_age_ns <= self._stale_ns
         )  # fmt: skip
         self.slack = self.tension_seen and snapshot.tension_n < self._slack_n
         self.tension_ns = self._tension_at_rest_ns(snapshot)
+        if abs(snapshot.sinks_n) <= self._still_n:
+            self._falls_ns = snapshot.t_ns
         by_tension = self.tension_seen and not self.slack
-        by_stroke = fault not in STROKE_DOUBTED and snapshot.drive_age_ns <= self._stale_ns
-        tension_moves = by_tension and (self.tension_ns < REST_NS or abs(snapshot.sinks_n) > self._still_n)
+        by_stroke = not causes & STROKE_BITS and snapshot.drive_age_ns <= self._stale_ns
+        falls = snapshot.t_ns - self._falls_ns >= FALLS_NS
+        tension_moves = by_tension and (self.tension_ns < REST_NS or falls)
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN

@@ -420,7 +420,7 @@ class Loop:
         """Take note of what carries the load; where the mode keeps the stroke, a change is an event."""
         snapshot, machine = self.observer.snapshot, self.machine
         before, shown, rest = snapshot.held_by, snapshot.power_off, snapshot.load_at_rest
-        self.observer.look_at_load()
+        self.observer.look_at_load(self._watch.standing)
         if snapshot.power_off != shown and snapshot.power_off > PowerOff.AWAITED:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
             self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, int(self.brake.fails), value=since_s)

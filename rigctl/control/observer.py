@@ -261,10 +261,13 @@ class Observer:
         """The same, up to the tick that sends a word that leads to power."""
         return self.braked and self._outbox.controlword not in _ON_COMMANDS
 
-    def look_at_load(self) -> None:
-        """What carries the load, whether it rests and a power off is confirmed, after this tick's decision."""
+    def look_at_load(self, standing: int) -> None:
+        """What carries the load, whether it rests and a power off is confirmed, after this tick's decision.
+
+        ``standing``: the causes that are active, bits 1 << fault.
+        """
         snapshot, machine, rest = self.snapshot, self._machine, self._load_rest
-        snapshot.load_at_rest = rest.look(machine.fault, snapshot)
+        snapshot.load_at_rest = rest.look(standing | 1 << machine.fault, snapshot)
         snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=self.braked)
         braked, rests = self.braked, snapshot.load_at_rest.rests
         self._rested &= braked

@@ -9,7 +9,7 @@ from __future__ import annotations
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import REST_NS, LoadRest
-from rigctl.control.modes import PowerOff
+from rigctl.control.modes import LoadAtRest, PowerOff
 from rigctl.control.safety import Action
 from rigctl.control.snapshot import Snapshot
 
@@ -39,24 +39,26 @@ class PowerOffWatch:
         if self.shown is PowerOff.NONE:
             self.shown, self._from_ns = PowerOff.AWAITED, snapshot.t_ns
         rest_ns = min(load.tension_ns, snapshot.t_ns - self._from_ns)
-        shown = self._evidence(snapshot, rest_ns, slack=load.slack, braked=braked)
+        shown = self._evidence(snapshot, rest_ns, load, braked=braked)
         if shown is not PowerOff.AWAITED:
             self.shown = shown
         elif self.shown.confirmed:
-            moves = load.tension_seen and not rest_ns and not self._drive_at_rest(snapshot)
+            moves = load.shown is LoadAtRest.MOVES and not self._drive_at_rest(snapshot)
             on = not braked and self.shown is not PowerOff.INPUT
             self.shown = PowerOff.UNCONFIRMED if moves or on else self.shown
         elif snapshot.t_ns - self._from_ns > WAIT_NS:
             self.shown = PowerOff.UNCONFIRMED
         return self.shown
 
-    def _evidence(self, snapshot: Snapshot, rest_ns: int, *, slack: bool, braked: bool) -> PowerOff:
-        """``rest_ns``: 0 where the tension says nothing; ``slack`` only where it says something."""
+    def _evidence(self, snapshot: Snapshot, rest_ns: int, load: LoadRest, *, braked: bool) -> PowerOff:
+        """``rest_ns``: 0 where the tension says nothing."""
         if snapshot.torque_off:
             return PowerOff.INPUT
-        if braked and not slack and rest_ns >= REST_NS:
-            return PowerOff.TENSION
-        return PowerOff.STROKE if braked and slack and self._drive_at_rest(snapshot, REST_NS) else PowerOff.AWAITED
+        if not braked or not load.shown.rests:
+            return PowerOff.AWAITED
+        if not load.slack:
+            return PowerOff.TENSION if rest_ns >= REST_NS else PowerOff.AWAITED
+        return PowerOff.STROKE if self._drive_at_rest(snapshot, REST_NS) else PowerOff.AWAITED
 
     def _drive_at_rest(self, snapshot: Snapshot, at_least_ns: int = 1) -> bool:
         """The drive reports a state without power, and its stroke has stood still since the command or longer."""

@@ -6,10 +6,9 @@ import math
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.load_at_rest import CELL_DOUBTED
+from rigctl.control.load_at_rest import CELL_BITS
 from rigctl.control.snapshot import Snapshot
 
-CELL_BITS = sum(1 << fault for fault in CELL_DOUBTED)
 CONTRADICTED_BIT = 1 << Fault.STRETCH_UNEXPLAINED
 """Encoder and tension contradict each other, so either may be wrong."""
 LEFT_SHARE, LEFT_SLACKS = 0.5, 3.0

@@ -17,7 +17,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.observer import CURRENT_NS
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action, Trip
@@ -149,6 +149,35 @@ def test_a_load_that_moves_again_with_the_motor_withdraws_it(rig: Lockstep) -> N
     rig.run(1.0)
     assert shown(rig) is PowerOff.UNCONFIRMED
     assert len(texts(rig, Kind.POWER_OFF)) == 1
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_load_that_creeps_withdraws_it_for_good(rig: Lockstep) -> None:
+    """At 0.03 mm/s the tension stays within what counts as rest for longer than a rest has to last."""
+    cut(rig)
+    rig.run(WAIT_S)
+    assert shown(rig) is PowerOff.TENSION
+    rig.events.read()
+    in_device.brake_slips(0.03)(Stand(rig, "creeps"))
+    rig.run(1.0)
+    for _ in range(round(8.0 * rig.settings.loop.rate_hz)):
+        rig.tick()
+        assert shown(rig) is PowerOff.UNCONFIRMED
+    assert len(texts(rig, Kind.POWER_OFF)) == 1
+
+
+@pytest.mark.starts_in(Mode.COMPENSATING)
+def test_a_cell_that_sticks_behind_another_cause_confirms_nothing(rig: Lockstep) -> None:
+    """The load goes on, and the latched fault is another than the cell's."""
+    at = Stand(rig, "stuck behind")
+    in_device.stuck(in_device.CELL)(at)
+    rig.rig.drive.defect = lambda _speed, _held: (-0.5, False)
+    cut(rig)
+    for _ in range(round((WAIT_S + 1.0) * rig.settings.loop.rate_hz)):
+        rig.tick()
+        assert not shown(rig).confirmed
+        assert rig.loop.observer.snapshot.load_at_rest not in (LoadAtRest.TENSION, LoadAtRest.BOTH)
+    assert rig.loop.machine.fault is Fault.DRIVE_NOT_FOLLOWING
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

@@ -67,11 +67,11 @@ def test_alarms_that_follow_are_listed_under_it_without_their_remedies() -> None
 
 
 def test_the_next_step_is_the_culprits_and_not_the_symptoms_remedy() -> None:
-    told = state() | ALIVE | {"fault": "CELL_STUCK", "fault_text": "", "causes": [], "flag_names": [], "quality": {}}
-    told["offers"] = offered(told)
+    shown = state() | ALIVE | {"fault": "CELL_STUCK", "fault_text": "", "causes": [], "flag_names": [], "quality": {}}
+    shown["offers"] = offered(shown)
     way_back = "4 See that the hall is empty; take the lock-out off.  5 RESET."
     assert (
-        view(told).next_step
+        view(shown).next_step
         == f"1 Before walking in, lock out the drive.  2 Keep out.  3 Does the rope hang loose?  {way_back}"
     )
-    assert Fault.CELL_STUCK.remedy.rstrip(".") in view(told | {"culprit": None}).next_step
+    assert Fault.CELL_STUCK.remedy.rstrip(".") in view(shown | {"culprit": None}).next_step

@@ -1,0 +1,52 @@
+"""What shows a load at rest, from one snapshot after another."""
+
+from __future__ import annotations
+
+import pytest
+
+from rigctl.config import rig_file as config
+from rigctl.control.faults import Fault
+from rigctl.control.load_at_rest import FALLS_NS, REST_NS, STILL_MM, LoadRest
+from rigctl.control.modes import LoadAtRest
+from rigctl.control.snapshot import Snapshot
+from tests.builders.paths import ROOT
+
+PAPER = config.load(ROOT / "config/paper_rig.yaml")
+STEP_NS = 10_000_000
+FALL_N = 2.0 * STILL_MM * PAPER.plant.stiffness_n_mm
+
+
+class Load:
+    """On the closed brake, at rest by tension and stroke since ``REST_NS``."""
+
+    def __init__(self) -> None:
+        self._rest, self._t_ns = LoadRest(PAPER), 0
+        assert self.look(REST_NS + STEP_NS) is LoadAtRest.BOTH
+
+    def look(self, time_ns: int, *, sinks_n: float = 0.0, causes: int = 0) -> LoadAtRest:
+        """What it shows after this time."""
+        for _ in range(time_ns // STEP_NS):
+            self._t_ns += STEP_NS
+            snapshot = Snapshot(
+                t_ns=self._t_ns, tension_n=300.0, sinks_n=sinks_n, still_ns=REST_NS, cell_age_ns=0, drive_age_ns=0
+            )
+            shown = self._rest.look(causes, snapshot)
+        return shown
+
+
+def test_a_fall_that_ends_as_that_of_a_bounce_is_no_motion() -> None:
+    load = Load()
+    for _ in range(3):
+        assert load.look(FALLS_NS - STEP_NS, sinks_n=FALL_N) is LoadAtRest.BOTH
+        assert load.look(STEP_NS) is LoadAtRest.BOTH
+    assert load.look(FALLS_NS, sinks_n=FALL_N) is LoadAtRest.MOVES
+
+
+@pytest.mark.parametrize(
+    ("causes", "shown"),
+    [((Fault.DRIVE_STALE, Fault.CELL_STUCK), LoadAtRest.STROKE),
+     ((Fault.E_STOP, Fault.ENCODER_STUCK), LoadAtRest.TENSION),
+     ((Fault.CELL_STUCK, Fault.ENCODER_STUCK), LoadAtRest.UNKNOWN)],
+)  # fmt: skip
+def test_a_cause_that_doubts_a_witness_leaves_the_other(causes: tuple[Fault, ...], shown: LoadAtRest) -> None:
+    assert Load().look(STEP_NS, causes=sum(1 << fault for fault in causes)) is shown
