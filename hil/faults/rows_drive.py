@@ -230,9 +230,10 @@ DRIVE = (
         "once it is commanded off, the drive reports that it is off, and its motor keeps its power",
         in_device.lies_off(),
         {Mode.HOLD: Reaction.DRIVE_OFF},
-        within_ms=1_100,
+        within_ms=3_500,
+        latency_ms=1_100,
         seconds=5.0,
-        why="after the parking the motor's current shows it",
+        why="half a second after the parking the motor's current shows it",
     ),
     _while_heaving("brake_stuck_closed", "the brake has closed by itself", in_device.brake_stays_closed()),
     InjectedFault(

@@ -18,15 +18,18 @@ STILL_MM = 0.02  # of stretch: the swing of a payload on air bearings falls and 
 FALLS_NS = 750_000_000  # a fall of more: that of a payload that bounces ends sooner, seen over 0.5 s
 _SMOOTH_S = 0.05  # of the cell's noise
 _CELL_DOUBTED = frozenset(
-    {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL,
-     Fault.STRETCH_UNEXPLAINED, Fault.INNOVATION, Fault.CELL_FROZEN, Fault.LOAD_UNSEEN, Fault.SENSOR_EMERGENCY}
+    {Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL, Fault.STRETCH_UNEXPLAINED,
+     Fault.INNOVATION, Fault.CELL_FROZEN, Fault.LOAD_UNSEEN, Fault.SENSOR_EMERGENCY}
 )  # fmt: skip
 _STROKE_DOUBTED = frozenset(
     {Fault.ENCODER_STUCK, Fault.DRIVE_CONTRADICTS, Fault.POSITION_DRIFTS, Fault.STROKE_JUMPED, Fault.DRIVE_MOTIONLESS}
 )
 CELL_BITS = sum(1 << fault for fault in _CELL_DOUBTED)
 STROKE_BITS = sum(1 << fault for fault in _STROKE_DOUBTED)
-"""Causes, bits 1 << fault, while which a tension or a stroke at rest shows nothing."""
+"""Causes, bits 1 << fault, while which a tension or a stroke at rest shows nothing.
+
+A cell that was silent or invalid and is not any more shows the tension again.
+"""
 
 
 class LoadRest:

@@ -46,7 +46,8 @@ def test_a_fall_that_ends_as_that_of_a_bounce_is_no_motion() -> None:
     ("causes", "shown"),
     [((Fault.DRIVE_STALE, Fault.CELL_STUCK), LoadAtRest.STROKE),
      ((Fault.E_STOP, Fault.ENCODER_STUCK), LoadAtRest.TENSION),
-     ((Fault.CELL_STUCK, Fault.ENCODER_STUCK), LoadAtRest.UNKNOWN)],
+     ((Fault.CELL_STUCK, Fault.ENCODER_STUCK), LoadAtRest.UNKNOWN),
+     ((Fault.CELL_STALE, Fault.CELL_INVALID), LoadAtRest.BOTH)],  # of a cell that is well again
 )  # fmt: skip
 def test_a_cause_that_doubts_a_witness_leaves_the_other(causes: tuple[Fault, ...], shown: LoadAtRest) -> None:
     assert Load().look(STEP_NS, causes=sum(1 << fault for fault in causes)) is shown
