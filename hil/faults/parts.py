@@ -55,10 +55,10 @@ PARTS: tuple[tuple[str, tuple[Part, ...]], ...] = (
     ("second_force_wrong", (Part.SECOND_FORCE, Part.CELL)),
     ("second_force_*", (Part.SECOND_FORCE,)),
     ("slope_*", (Part.INCLINOMETER,)),
-    # I/O and operator
-    ("io_e_stop*", (Part.OPERATOR,)),
-    ("arm_during_run_out", (Part.OPERATOR,)),
-    ("reset_during_quick_stop", (Part.OPERATOR,)),
+    # I/O and emergency stop
+    ("io_e_stop*", (Part.E_STOP,)),
+    ("arm_during_run_out", (Part.E_STOP,)),
+    ("reset_during_quick_stop", (Part.E_STOP,)),
     ("io_*", (Part.IO_NODE,)),
     ("enable_welded", (Part.IO_NODE,)),
     ("rail_*", (Part.RAIL_ENCODER,)),
@@ -109,11 +109,11 @@ PARTS: tuple[tuple[str, tuple[Part, ...]], ...] = (
     ("control_*", (Part.PROCESS,)),
     ("*_killed", (Part.PROCESS,)),
     ("*_stopped", (Part.PROCESS,)),
-    ("folder_deleted", (Part.OPERATOR, Part.PROCESS)),
-    ("terminal_gone", (Part.OPERATOR, Part.PROCESS)),
+    ("folder_deleted", (Part.PROCESS,)),
+    ("terminal_gone", (Part.PROCESS,)),
     ("disk_full", (Part.COMPUTER,)),
     ("clock_*", (Part.COMPUTER,)),
-    ("config_replaced", (Part.OPERATOR,)),
+    ("config_replaced", (Part.PROCESS,)),
 )
 """Patterns of ids; the first that matches is a fault's."""
 

@@ -23,7 +23,7 @@ class Part(StrEnum):
     MASTER = "another master or tool"
     COMPUTER = "this computer"
     PROCESS = "a process of this program"
-    OPERATOR = "an operator"
+    E_STOP = "emergency stop"
 
 
 AT_THE_LOAD = frozenset({Part.CELL, Part.AMPLIFIER, Part.SECOND_FORCE, Part.INCLINOMETER})

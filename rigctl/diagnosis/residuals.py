@@ -101,7 +101,9 @@ class Residuals:
     position_mm_s: float = math.nan
     """... of the rate of the position, ..."""
     stretch_mm_s: float = math.nan
-    """... and of the rate of the tension over the stiffness."""
+    """... and of the rate of the tension over the stiffness; ..."""
+    falls_mm_s: float = math.nan
+    """... the same, positive where the tension falls."""
     later_mm_s: float = math.nan
     """The same once the drive was off after the trip; NaN where it stayed on."""
     speed_noise_mm_s: float = 0.0
@@ -306,11 +308,13 @@ def _motion(records: npt.NDArray[np.void], trip: int, settings: RigSettings) -> 
     span = slice(trip - ticks, trip)
     lagged = slice(max(trip - ticks - delay, 0), max(trip - delay, 1))
     seconds = (records["t_ns"][trip] - records["t_ns"][trip - ticks]) * 1e-9
+    stretch_mm_s = _rate(records["tension_n"][trip - ticks : trip + 1], seconds) / settings.plant.stiffness_n_mm
     return {
         "command_mm_s": float(np.mean(records["command_mm_s"][lagged])),
         "speed_mm_s": float(np.mean(records["speed_mm_s"][span])),
         "position_mm_s": float(records["stroke_mm"][trip] - records["stroke_mm"][trip - ticks]) / seconds,
-        "stretch_mm_s": _rate(records["tension_n"][trip - ticks : trip + 1], seconds) / settings.plant.stiffness_n_mm,
+        "stretch_mm_s": stretch_mm_s,
+        "falls_mm_s": -stretch_mm_s,
     }
 
 

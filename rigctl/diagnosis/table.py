@@ -244,7 +244,7 @@ def _motionless(x: Residuals) -> bool:
 
 
 TABLE: tuple[Clue, ...] = (
-    Clue(Part.OPERATOR, "The emergency stop is pressed.", "Find who pressed it and why before it is released.",
+    Clue(Part.E_STOP, "The emergency stop was pressed.", "Find who pressed it and why before it is released.",
         _always, frozenset({_F.E_STOP})),
     Clue(Part.PROCESS, "The loop ended in an exception of its own: {text}.",
         "Keep the trip dump and report it; nothing at the rig is known to be wrong.",
@@ -389,10 +389,10 @@ TABLE: tuple[Clue, ...] = (
     Clue(Part.DRIVE, "The tension changed at {stretch_mm_s:.1f} mm/s of stretch until the drive was off: its motor "
         "moved, and its encoder did not show it.", f"{_STAY} Lock the drive out; read its display.", _stops_with_motor,
         _TENSION),
-    Clue(Part.ROPE, "The tension falls by {stretch_mm_s:.1f} mm/s of stretch that the stroke does not explain.",
+    Clue(Part.ROPE, "The tension falls by {falls_mm_s:.1f} mm/s of stretch that the stroke does not explain.",
         _KEEP_OUT, lambda x: _falls(x) and x.stretch_mm_s < -CREEPS_MM_S, _TENSION, Part.PAYLOAD,
         "has the payload moved, or the rope in its clamp?"),
-    Clue(Part.ROPE, "The tension falls by {stretch_mm_s:.1f} mm/s of stretch that the stroke does not explain.",
+    Clue(Part.ROPE, "The tension falls by {falls_mm_s:.1f} mm/s of stretch that the stroke does not explain.",
         _KEEP_OUT, _falls, _TENSION, Part.CELL, "has the rope moved in its clamp, or the payload?"),
     Clue(Part.ROPE, "The stroke's end came before the tension: the rope is too long or too short for it.",
         f"{_STAY} Bring the stroke back: release, or arm --near-end.", lambda x: x.mode is not Mode.COMPENSATING,

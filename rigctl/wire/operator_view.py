@@ -180,7 +180,8 @@ def _does(state: dict[str, Any], flags: list[str]) -> str:
         return "not known: nothing valid is heard of the drive"
     if mode_name == "FAULT" and "stopping" in flags and "drive_enabled" in flags:
         return "stops the drive, then takes it off power"
-    if mode_name == "DISARMED" and "arming" in flags:
+    disarms = state.get("held_by") == "CLOSING"  # a DISARM that waits for the drive has the flag too
+    if mode_name == "DISARMED" and "arming" in flags and not disarms:
         return "checks before arming; then the drive comes on"
     target = state.get("target_n")
     words = _DOES.get(mode_name, mode_name).format(

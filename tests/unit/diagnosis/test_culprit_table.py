@@ -23,7 +23,7 @@ BOTH = frozenset({"tension_cell", "cylinder"})
 GONE: dict[str, Any] = {"after_n": 0.0, "least_n": -0.1, "step_n": 200.0, "fall_ms": 2.0, "stretch_mm_s": -800.0}
 
 SHOWN: list[tuple[Fault, dict[str, Any], tuple[Part, ...], str]] = [
-    (Fault.E_STOP, {}, (Part.OPERATOR,), "pressed"),
+    (Fault.E_STOP, {}, (Part.E_STOP,), "pressed"),
     (Fault.LOOP_EXCEPTION, {}, (Part.PROCESS,), "exception"),
     (Fault.RIVAL, {"foreign": True}, (Part.MASTER,), "gives commands"),
     (Fault.CELL_STALE, {"device": "tension_cell", "foreign": True}, (Part.MASTER,), "gives commands"),

@@ -48,9 +48,9 @@ def test_what_follows_is_listed_under_the_culprit_its_own_fault_first() -> None:
     stop = trip(5, Fault.E_STOP)
     events = [stop, Noted(5 * S + 1, Kind.CAUSE, Fault.DRIVE_FAULT), Noted(5 * S + 2, Kind.CAUSE, Fault.DRIVE_FAULT)]
     found = diagnose(around(stop, SETTINGS, events, NO_RECORDS))
-    assert found.parts == (Part.OPERATOR,)
+    assert found.parts == (Part.E_STOP,)
     assert found.follows == ("E_STOP", "DRIVE_FAULT")
-    assert found.as_message()["parts"] == ["an operator"]
+    assert found.as_message()["parts"] == ["emergency stop"]
 
 
 def test_a_trip_that_shows_nothing_names_no_part_but_its_own_words_and_remedy() -> None:

@@ -329,7 +329,7 @@ def test_the_state_names_the_culprit_of_the_latched_fault_until_its_reset(rig: R
     events.write(time.monotonic_ns(), Kind.TRIP, Fault.E_STOP, Action.QUICK_STOP, 1.0, 0.0, b"")
     rig.record(mode=Mode.FAULT, fault=Fault.E_STOP)
     found = rig.state()["culprit"]
-    assert (found["parts"], found["follows"]) == (["an operator"], ["E_STOP"])
+    assert (found["parts"], found["follows"]) == (["emergency stop"], ["E_STOP"])
     events.write(time.monotonic_ns(), Kind.RESET, Fault.E_STOP, 0, 0.0, 0.0, b"")
     rig.record(mode=Mode.HOLD)
     assert rig.state()["culprit"] is None

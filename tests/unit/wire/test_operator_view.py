@@ -157,6 +157,12 @@ def test_an_end_that_a_load_delays_is_what_the_rig_does(left_s: float, shown: st
     assert "DAEMON" not in view(carried | {"end_s": None}).does
 
 
+@pytest.mark.parametrize(("held_by", "arms"), [("BRAKE", True), ("TAKING", True), ("CLOSING", False)])
+def test_a_disarm_under_way_is_no_arming(held_by: str, arms: bool) -> None:
+    found = view(state(Mode.DISARMED, "arming", held_by=held_by)).does
+    assert found.startswith("checks before arming" if arms else "the drive is")
+
+
 def test_what_bars_arming_is_the_next_step_while_disarmed() -> None:
     failing = {"E_STOP": Check.E_STOP.words}
     found = view(state(Mode.DISARMED, preflight={"failing": failing}))
