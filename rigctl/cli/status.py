@@ -1,21 +1,36 @@
-"""``rigctl status``: the state of the rig on one small screen."""
+"""``rigctl status``: what an operator needs first in a few lines, or all of the state."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
-from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say_json
+import typer
+
+from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say, say_json
 from rigctl.config.quantity import count
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     from rigctl.wire.alarms import Alarm
 
+LINES = 8
+"""Of the terminal, at most, below the head (rig, mode and load), on 80 columns or more."""
+_LABEL = 9
 
-def status(json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
-    """Show mode, tension, error, stroke, inclination and how well the loop keeps its time."""
+All = Annotated[bool, typer.Option("--all", help="Show every cause, alarm, value and warning.")]
+
+
+def status(all_: All = False, json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
+    """Show mode, what holds the load, what is wrong, what to do next, alarms and tension.
+
+    At most eight lines below rig, mode and load; the last one says how many more --all shows.
+    """
     from rigctl.wire.alarms import Alarms
 
     with daemon(connect, rig) as client:
@@ -27,7 +42,8 @@ def status(json: Json = False, connect: Connect = None, rig: Rig = None) -> None
         say_json(state)
     else:
         lock_out = str(((active.get("settings") or {}).get("safety") or {}).get("lock_out") or "")
-        _show(state, endpoint, known.rows(state, time.time_ns()) if known is not None else [], lock_out)
+        now_ns = time.time_ns()
+        _show(state, endpoint, known.rows(state, now_ns) if known is not None else [], now_ns, lock_out, all_=all_)
     end(DONE if state["loop_alive"] else BAD)
 
 
@@ -76,15 +92,109 @@ def rows(
     return result + [("warning", text, "yellow") for text in state["warnings"]]
 
 
-def _show(state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], lock_out: str) -> None:
+def brief_rows(
+    state: dict[str, Any], alarms: Sequence[Alarm], now_ns: int, lock_out: str, height: Callable[[str], int]
+) -> list[tuple[str, str, str]]:
+    """What an operator needs first: what is wrong, the part to blame, what to do, alarms; values in the room left.
+
+    ``height``: lines of the terminal that a text takes. Together they are less than ``LINES``, so that one is left.
+    """
+    from rigctl.wire.alarm_words import STYLE, in_brief
+    from rigctl.wire.operator_view import view
+
+    seen, fault = view(state, alarms, lock_out), state.get("fault")
+    alive, parts = bool(state.get("loop_alive")), (state.get("culprit") or {}).get("parts")
+    wrong = f"{fault}: {state.get('fault_text')}" if fault and alive else figures.why(state)
+    shown = [("fault" if fault and alive else "loop", wrong, "bold red")] if wrong else []
+    shown += [("culprit", " or ".join(map(str, parts)), "bold red")] if parts else []
+    in_force = []
+    if named := in_brief(alarms, now_ns, state):
+        in_force = [("alarms", _fitting(named, ", ", height, 1), STYLE[min(row.priority for row in alarms)])]
+    room = LINES - 1 - sum(height(text) for _, text, _ in shown + in_force)
+    step = _fitting(seen.numbered, "  ", height, room)
+    room -= height(step)
+    shown += [("next step", step, "bold" if wrong else ""), *in_force]
+    for row in _values(state):
+        if (lines := height(row[1])) <= room:
+            shown.append(row)
+            room -= lines
+    return shown
+
+
+def _fitting(parts: Sequence[str], mark: str, height: Callable[[str], int], room: int) -> str:
+    """As many parts as fit into ``room`` lines, but one, and how many more there are."""
+    for shown in range(len(parts), 0, -1):
+        more = f"{mark}and {len(parts) - shown} more" if shown < len(parts) else ""
+        text = mark.join(parts[:shown]) + more
+        if height(text) <= room:
+            break
+    return text
+
+
+def _values(state: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
+    """Values to be trusted, warnings and the lease, the most important first."""
+    from rigctl.wire.trust import trusted
+
+    if state.get("mode") is not None and trusted(state, "tension_n") is not None:
+        yield "tension", f"{figures.measured(state, 'tension_n', 2, 'N')} (target {_newton(state)})", ""
+        if state.get("error_n") is not None:
+            yield "error", figures.error(state), ""
+    if state.get("mode") is not None and trusted(state, "stroke_mm") is not None:
+        yield "stroke", figures.measured(state, "stroke_mm", 2, "mm"), ""
+    yield from (("warning", text, "yellow") for text in state["warnings"])
+    yield "lease", figures.lease(state), ""
+
+
+def _newton(state: dict[str, Any]) -> str:
+    return figures.number(state["target_n"], 1, "N")
+
+
+def _show(
+    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, *, all_: bool
+) -> None:
     from rich.console import Console
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True)
-    table.add_column(overflow="fold")
-    table.add_row("rig", Text(f"{state['rig']} at {endpoint}"))
-    for label, value, style in rows(state, alarms, time.time_ns(), lock_out):
+    console = Console(highlight=False)
+    whole = _grid([("rig", Text(f"{state['rig']} at {endpoint}"))])
+    for label, value, style in rows(state, alarms, now_ns, lock_out):
+        whole.add_row(label, Text(value, style))
+    if all_:
+        console.print(whole)
+        return
+    brief = _brief(state, endpoint, alarms, now_ns, lock_out, console)
+    console.print(brief)
+    more = len(console.render_lines(whole)) - len(console.render_lines(brief))
+    if more > 0:
+        say(f"{count(more, 'line')} more: rigctl status --all")
+
+
+def _brief(
+    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, console: Console
+) -> Table:
+    from rich.text import Text
+
+    from rigctl.wire.operator_view import view
+
+    seen = view(state, alarms, lock_out)
+    mode = Text.assemble((f" {figures.mode(state)} ", figures.mode_style(state)), f"  {seen.entry}: {seen.entry_why}")
+    load = "; ".join(filter(None, (figures.held(state), figures.ending(state)))) if state["loop_alive"] else seen.does
+    table = _grid([("rig", Text(f"{state['rig']} at {endpoint}")), ("mode", mode), ("load", Text(load))])
+
+    def height(text: str) -> int:
+        return len(console.render_lines(_grid([("", Text(text))])))
+
+    for label, value, style in brief_rows(state, alarms, now_ns, lock_out, height):
         table.add_row(label, Text(value, style))
-    Console(highlight=False).print(table)
+    return table
+
+
+def _grid(first: Sequence[tuple[str, Text]]) -> Table:
+    from rich.table import Table
+
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", no_wrap=True, min_width=_LABEL)
+    table.add_column(overflow="fold")
+    for row in first:
+        table.add_row(*row)
+    return table

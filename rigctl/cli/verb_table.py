@@ -44,7 +44,7 @@ VERBS = (
     VerbRow(
         "status",
         "status:status",
-        "Show mode, tension, error, stroke, inclination and how well the loop keeps its time.",
+        "Show mode, what holds the load, what is wrong, what to do next, alarms and tension.",
     ),
     VerbRow(
         "alarms", "alarms:alarms", "Show the alarms, or acknowledge or shelve one; every display of the rig follows."

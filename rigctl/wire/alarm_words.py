@@ -84,6 +84,17 @@ def alarm_rows(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | Non
     return rows + ([("shelved", f"{count(shelved, 'alarm')}: rigctl alarms", "")] if shelved else [])
 
 
+def in_brief(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | None = None) -> list[str]:
+    """The alarms that are not put aside by priority and name; those that follow from the culprit are one, counted."""
+    seen = [row for row in alarms if not row.shelved(now_ns)]
+    folded = [row for row in seen if follows(row, state)]
+    named = [f"{row.priority.name} {row.cause}" for row in seen if not follows(row, state)]
+    if folded:
+        more = f" +{len(folded) - 1} that follow" if folded[1:] else ""
+        named.insert(0, f"{min(row.priority for row in folded).name} {folded[0].cause}{more}")
+    return named
+
+
 def culprit_rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     """Label, words and style of the part that is to blame, of the question that decides, and of the first step."""
     found = state.get("culprit")

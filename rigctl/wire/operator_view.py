@@ -67,7 +67,12 @@ class OperatorView:
     @property
     def next_step(self) -> str:
         """The steps in one line, numbered."""
-        return "  ".join(f"{count} {step.text}" for count, step in enumerate(self.steps, 1))
+        return "  ".join(self.numbered)
+
+    @property
+    def numbered(self) -> list[str]:
+        """The steps, each with its number."""
+        return [f"{at} {step.text}" for at, step in enumerate(self.steps, 1)]
 
 
 _NOT_SHOWN = (PowerOff.AWAITED.name, PowerOff.UNCONFIRMED.name)

@@ -97,7 +97,7 @@ def test_an_operator_commissions_the_rig(running: Running, tmp_path: pathlib.Pat
     calibration = daemons.state(file)["calibration"]
     assert calibration["zero_n"] == tared.after["zero_n"]
     assert calibration["due"] is not None
-    assert "calibration" in running.do("status")
+    assert "calibration" in running.do("status", "--all")
     assert "the rope is slack" in (running.do("arm") and running.refused("identify", "--in", "tension"))
     running.do("target", "100")
     running.do("tension", "--wait")
@@ -182,14 +182,14 @@ def test_a_tare_on_record_whose_gateway_was_killed_is_put_in_force_by_the_next(r
 def test_a_failed_check_blocks_the_next_arming(running: Running) -> None:
     running.do("arm")
     assert "no weight hangs on the cell" in running.refused("calibrate")
-    assert "OVERDUE" not in running.do("status"), "an empty hook ends no check"
+    assert "OVERDUE" not in running.do("status", "--all"), "an empty hook ends no check"
     running.do("target", "100")
     running.do("tension", "--wait")
     running.do("hold")
     assert "NOT within 0.5 %" in running.refused("calibrate", "--weight-n", "110")
     running.do("disarm")
     assert "no calibration check has passed" in running.refused("arm")
-    assert "OVERDUE: no arming" in running.do("status")
+    assert "OVERDUE: no arming" in running.do("status", "--all")
 
 
 def test_what_cannot_be_written_down_is_not_done(running: Running) -> None:

@@ -55,7 +55,7 @@ def test_a_signal_to_end_waits_and_has_the_load_lowered_first(carrying: Running,
     carried_n, carried_mm = carrying.truth()
     carrying.daemon.send_signal(number)
     until(lambda: delayed(carrying), log=carrying.log)
-    shown = carrying.do("status")
+    shown = " ".join(carrying.do("status").split())
     assert "THE DAEMON IS TO END: in " in shown
     assert "ENDING" in shown, "the alarm"
     until(lambda: newest(carrying, "end_s") < 1.0, log=carrying.log)

@@ -35,7 +35,7 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         daemons.simulator(rig.file).write(od.SIM_IO_E_STOP, 1)
         until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
-        said = until(lambda: (text := rig.do("status")) and "e-stop" in text and text, log=rig.log)
+        said = until(lambda: (text := rig.do("status", "--all")) and "e-stop" in text and text, log=rig.log)
         assert "emergency stop pressed (I/O node's input)" in said
         assert "emergency stop is pressed (I/O node's input)" in said
         assert "drive's input" not in said
@@ -50,7 +50,7 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
         assert daemons.mode(rig.file) == "DISARMED"  # an emergency stop took the power off
         nmt(rig, 0x02)  # another master stops the node
         unseen = "emergency stop's input on the I/O node is not seen"
-        until(lambda: unseen in rig.do("status"), log=rig.log)
+        until(lambda: unseen in rig.do("status", "--all"), log=rig.log)
         assert unseen in rig.refused("arm")
         assert doctor(rig)[1][SEEN]["severity"] == "fails"
         nmt(rig, 0x01)

@@ -22,7 +22,7 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
     assert "not acknowledged" in head
     assert "N above 400.0 N" in words
     assert remedy.strip().startswith("-> ")
-    result = own.cli("status")
+    result = own.cli("status", "--all")
     for label in ("does now", "blocks reset", "next step", "entry", "alarm"):
         assert any(line.startswith(label) for line in result.stdout.splitlines()), label
     assert own.cli("alarms", "acknowledge", "NONE").returncode == 2

@@ -114,13 +114,17 @@ def test_another_rig_is_not_this_one(shared: Daemon) -> None:
 
 def test_status_fits_a_small_screen(shared: Daemon) -> None:
     shared.client().close()
-    result = shared.cli("status")
-    assert result.returncode == 0
-    lines = result.stdout.splitlines()
-    assert len(lines) <= 24
-    assert max(map(len, lines)) <= 80
+    brief, whole = shared.cli("status"), shared.cli("status", "--all")
+    for result, most in ((brief, 12), (whole, 24)):
+        assert result.returncode == 0
+        lines = result.stdout.splitlines()
+        assert len(lines) <= most
+        assert max(map(len, lines)) <= 80
+    assert brief.stdout.endswith(" lines more: rigctl status --all\n")
+    for word in ("DISARMED", "load", "next step"):
+        assert word in brief.stdout
     for word in ("DISARMED", "tension", "vertical error", "target", "stroke", "inclination", "lateness", "skipped"):
-        assert word in result.stdout
+        assert word in whole.stdout
     assert json.loads(shared.cli("status", "--json").stdout)["mode"] == "DISARMED"
 
 
