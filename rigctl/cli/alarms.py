@@ -96,7 +96,7 @@ def _show(rows: list[Alarm], state: dict[str, Any], now_ns: int, json: bool) -> 
     from rigctl.wire.alarms import as_message
 
     if json:
-        say_json([as_message(row, now_ns) for row in rows])
+        say_json([as_message(row, now_ns, state) for row in rows])
     else:
         for line in listed(rows, state, now_ns):
             say(line)

@@ -52,7 +52,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "asked": asked,
     }
     message["bounds"] = typed_fields.bounds(state or {})
-    message["alarms"] = [as_message(row, now_ns) | {"condition": row.condition} for row in alarms]
+    message["alarms"] = [as_message(row, now_ns, state) | {"condition": row.condition} for row in alarms]
     failing = ((state or {}).get("preflight") or {}).get("failing") or {}
     barred = len(failing) if (state or {}).get("mode") == "DISARMED" else 0
     message["tally"], message["barred"] = tally(alarms, now_ns, barred), barred

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rigctl.config.quantity import count
-from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority
+from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority, follows
 from rigctl.wire.operator_view import OperatorView
 from rigctl.wire.state_words import clock
 
@@ -41,13 +41,16 @@ def block(row: Alarm, now_ns: int) -> list[str]:
 
 
 def listed(rows: Sequence[Alarm], state: dict[str, Any], now_ns: int) -> list[str]:
-    """All alarms in lines: the culprit first, under it those that follow from it, then the others in full."""
-    culprit = culprit_rows(state)
-    if not culprit:
-        return [text for row in rows for text in block(row, now_ns)]
-    lines = [f"{label.upper():<7} {words}" for label, words, _ in culprit]
-    lines += [f"        follows: {line(row, now_ns)}" for row in rows if follows(row, state)]
-    return lines + [text for row in rows if not follows(row, state) for text in block(row, now_ns)]
+    """All alarms in lines, in their order: under the culprit those that follow from it, the others in full."""
+    lines, culprit = [], [f"{label.upper():<7} {words}" for label, words, _ in culprit_rows(state)]
+    if not any(follows(row, state) for row in rows):
+        lines, culprit = culprit, []
+    for row in rows:
+        if follows(row, state):
+            lines, culprit = [*lines, *culprit, f"        follows: {line(row, now_ns)}"], []
+        else:
+            lines += block(row, now_ns)
+    return lines
 
 
 def line(row: Alarm, now_ns: int) -> str:
@@ -73,12 +76,13 @@ def tally(alarms: Sequence[Alarm], now_ns: int, barred: int = 0) -> str:
 def alarm_rows(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | None = None) -> list[tuple[str, str, str]]:
     """Label, words and style of every alarm that is not put aside, and of how many are.
 
-    Those that follow from the culprit of ``state`` come first, and say so.
+    Those that follow from the culprit of ``state`` say so.
     """
-    shown = [row for row in alarms if not row.shelved(now_ns)]
-    rows = [("follows", line(row, now_ns), "") for row in shown if follows(row, state)]
-    for row in shown:
-        if not follows(row, state):
+    rows = []
+    for row in alarms:
+        if follows(row, state) and not row.shelved(now_ns):
+            rows.append(("follows", line(row, now_ns), ""))
+        elif not row.shelved(now_ns):
             rows.append(("alarm", line(row, now_ns), STYLE[row.priority] if row.condition != "cleared" else ""))
     shelved = sum(row.shelved(now_ns) for row in alarms)
     return rows + ([("shelved", f"{count(shelved, 'alarm')}: rigctl alarms", "")] if shelved else [])
@@ -88,10 +92,14 @@ def in_brief(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | None 
     """The alarms that are not put aside by priority and name; those that follow from the culprit are one, counted."""
     seen = [row for row in alarms if not row.shelved(now_ns)]
     folded = [row for row in seen if follows(row, state)]
-    named = [f"{row.priority.name} {row.cause}" for row in seen if not follows(row, state)]
-    if folded:
-        more = f" +{len(folded) - 1} that follow" if folded[1:] else ""
-        named.insert(0, f"{min(row.priority for row in folded).name} {folded[0].cause}{more}")
+    more = f" +{len(folded) - 1} that follow" if folded[1:] else ""
+    first = [f"{min(row.priority for row in folded).name} {folded[0].cause}{more}"] if folded else []
+    named = []
+    for row in seen:
+        if not follows(row, state):
+            named.append(f"{row.priority.name} {row.cause}")
+        elif row is folded[0]:
+            named += first
     return named
 
 
@@ -103,12 +111,6 @@ def culprit_rows(state: dict[str, Any]) -> list[tuple[str, str, str]]:
     rows = [("culprit", f"{' or '.join(map(str, found['parts']))}: {found.get('text', '')}", "bold red")]
     rows += [("decide", str(found["question"]), "bold")] if found.get("question") else []
     return [*rows, ("first", str(found.get("first", "")), "bold")]
-
-
-def follows(row: Alarm, state: dict[str, Any] | None) -> bool:
-    """Whether an alarm is a consequence of the culprit that the state names."""
-    found = (state or {}).get("culprit")
-    return isinstance(found, dict) and row.cause.partition(" ")[0] in found.get("follows", ())
 
 
 def banner_rows(state: dict[str, Any], view: OperatorView) -> list[tuple[str, str, str]]:

@@ -202,12 +202,14 @@ class Alarms:
 
     def __init__(self, events: Iterable[dict[str, Any]] = ()) -> None:
         self._rows: dict[str, Alarm] = {}
+        self._latched = ""
         for event in events:
             self.note(event)
 
     def clear(self) -> None:
         """Forget all of them, before the events are replayed."""
         self._rows.clear()
+        self._latched = ""
 
     def note(self, event: dict[str, Any]) -> None:
         """Take one event."""
@@ -215,24 +217,28 @@ class Alarms:
         if event.get("source") == "gateway":
             self._decided(event)
         elif kind == "STARTED":
+            self._latched = ""
             for cause in self._rows.keys() - {ENDPOINT_TAKEN}:
                 self._change(cause, stands=False, watched=True)
         elif cause := cause_of(event):
             if kind in _ENDS or (kind in _LASTING and event.get("severity") == "info"):
                 self._change(cause, stands=False, watched=kind not in _ENDS or not _is_nan(event.get("value")))
             elif kind == "RESET":
+                self._latched = ""
                 for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:
                     self._change(row, acknowledged="reset", stands=False, watched=True)  # what stands still trips anew
             else:
                 self._came(_alarm_of(event, cause))
+                self._latched = cause if kind == "TRIP" else self._latched
 
     def _came(self, new: Alarm) -> None:
         old = self._rows.pop(new.cause, None)  # the newest row stands last, so that the oldest makes room
         if old is not None:
             # While it stands, a cause that trips as well is no second time.
             again = not (old.stands and new.stands) and not _lasts(old, new.last_ns)
+            least = old.priority if old.is_open or new.cause == self._latched else Priority.LOW
             new = replace(
-                new, priority=min(old.priority, new.priority), first_ns=old.first_ns, count=old.count + again,
+                new, priority=min(least, new.priority), first_ns=old.first_ns, count=old.count + again,
                 shelf=old.shelf, onsets_ns=(*old.onsets_ns, *([new.last_ns] if again else []))[-CHATTERING_TIMES:],
                 acknowledged="" if again else old.acknowledged,
             )  # fmt: skip
@@ -262,9 +268,10 @@ class Alarms:
                 self._change(ENDPOINT_TAKEN, stands=False)
 
     def rows(self, state: dict[str, Any] | None, now_ns: int) -> list[Alarm]:
-        """Open rows at ``now_ns``, what to look at first first; the newest state says which causes are active.
+        """Open rows at ``now_ns``; the newest state says which causes are active.
 
-        The row of the latched fault is before those that follow from it.
+        They are sorted by priority, then by the time when they came first; what is put aside is last. Those that follow
+        from the culprit of the state are together at the strongest priority among them, the latched fault first.
         """
         alive = state is not None and state.get("loop_alive")
         at_ns = int((state or {}).get("wall_ns") or 0) if alive else 0  # by the clock of the events
@@ -274,24 +281,29 @@ class Alarms:
         if state is not None:
             rows = _as_the_state_says(rows, looked, state)
         latched = str((state or {}).get("fault") or "")
-        return sorted(
-            (row for row in rows.values() if row.is_open),
-            key=lambda row: (
-                row.shelved(now_ns),
-                bool(row.acknowledged),
-                row.cause.partition(" ")[0] != latched,
-                not row.stands,
-                not row.latched,
-                row.priority,
-                -row.last_ns,
-            ),
-        )
+        found = [row for row in rows.values() if row.is_open]
+        folded = [row.priority for row in found if follows(row, state) and not row.shelved(now_ns)]
+
+        def order(row: Alarm) -> tuple[bool, int, bool, bool, int, int]:
+            follow = follows(row, state) and not row.shelved(now_ns)
+            is_first = follow and row.cause.partition(" ")[0] == latched
+            return (row.shelved(now_ns), min(folded) if follow else row.priority, not follow, not is_first,
+                    row.priority, row.first_ns)  # fmt: skip
+
+        return sorted(found, key=order)
+
+
+def follows(row: Alarm, state: dict[str, Any] | None) -> bool:
+    """Whether an alarm is a consequence of the culprit that the state names."""
+    found = (state or {}).get("culprit")
+    return isinstance(found, dict) and row.cause.partition(" ")[0] in found.get("follows", ())
 
 
 def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: dict[str, Any]) -> dict[str, Alarm]:
     """Rows with the causes that a state names, whose event may be missing; trips that it does not name are cleared.
 
-    The row of the latched fault stays until the reset. The priority of an active cause is that of its reaction now.
+    The row of the latched fault stays until the reset. A reaction stronger than those before raises the priority of an
+    active cause; a weaker one does not lower it.
     """
     causes, wall_ns = state.get("causes"), int(state.get("wall_ns") or 0)
     if state.get("mode") is None or not state.get("loop_alive"):
@@ -301,7 +313,7 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
         return rows | {LOOP_SILENT: loop}
     if not isinstance(causes, list):
         return rows
-    named = {str(cause.get("fault")): cause for cause in causes if isinstance(cause, dict)}
+    named = {str(cause.get("fault")): cause for cause in reversed(causes) if isinstance(cause, dict)}  # the strongest
     latched, why = str(state.get("fault")), str(state.get("fault_text", ""))
     result = {}
     for name, row in known.items():
@@ -318,7 +330,7 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
                 watched=active or not row.stands,
             )
             if active and named[tripped].get("action"):
-                result[name] = replace(result[name], priority=_priority_of(named[tripped]))
+                result[name] = replace(result[name], priority=min(row.priority, _priority_of(named[tripped])))
         elif name in rows:
             result[name] = row
     for name, cause in named.items():
@@ -328,7 +340,7 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
         at = cause.get("since_wall_ns") or wall_ns
         old = next((row for key, row in known.items() if key.partition(" ")[0] == name), None)
         value, limit = (figure(fault, key, cause.get(key)) for key in ("value", "limit"))
-        result[name] = replace(old, stands=True) if old is not None else Alarm(
+        result[name] = replace(old, stands=True, priority=min(old.priority, _priority_of(cause))) if old else Alarm(
             name, _priority_of(cause), str(cause.get("text", "")), fault.remedy, at, at,
             value=value, limit=limit, onsets_ns=(at,),
         )  # fmt: skip
@@ -340,13 +352,13 @@ def _priority_of(cause: dict[str, Any]) -> Priority:
     return Priority.URGENT if cause.get("action") in ("QUICK_STOP", "POWER_OFF", "SILENCE") else Priority.HIGH
 
 
-def as_message(row: Alarm, now_ns: int) -> dict[str, Any]:
-    """A row for JSON: the page, ``rigctl alarms --json``."""
+def as_message(row: Alarm, now_ns: int, state: dict[str, Any] | None = None) -> dict[str, Any]:
+    """A row for JSON: the page, ``rigctl alarms --json``; ``follows`` from the culprit of ``state``."""
     shelf = row.shelf if row.shelved(now_ns) else None
     return {
         "cause": row.cause, "priority": row.priority.name.lower(), "text": row.text, "remedy": row.remedy,
         "count": row.count, "first_ns": row.first_ns, "last_ns": row.last_ns, "value": row.value, "limit": row.limit,
-        "stands": row.stands, "latched": row.latched, "watched": row.watched,
+        "stands": row.stands, "latched": row.latched, "watched": row.watched, "follows": follows(row, state),
         "acknowledged": row.acknowledged or None,
         "chatters": row.chatters(now_ns),
         "shelved": None if shelf is None

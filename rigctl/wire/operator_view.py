@@ -12,7 +12,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import PowerOff, Refusal
 from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.table import suspects
-from rigctl.wire.alarms import Alarm, figure
+from rigctl.wire.alarms import Alarm, figure, follows
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now
 from rigctl.wire.state_words import drive, ending, held, mode
@@ -49,7 +49,8 @@ class OperatorView:
     """One state as it is to be shown.
 
     ``parts``: what is named first: one or two parts of the rig, else the fault. ``text``: it in a sentence.
-    ``follows``: further alarms that are active or latched. ``steps``: what to do, the first one safe.
+    ``follows``: alarms, active or latched, that follow from the culprit, or all others without one.
+    ``steps``: what to do, the first one safe.
     ``entry``: `KEEP_OUT` or `LOCK_OUT_FIRST`; ``entry_why``: why, or what is to be locked out.
     """
 
@@ -112,9 +113,9 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
     causes, flags = _causes(state, alarms), state.get("flag_names", [])
     verbs = refused_now(state)
     entry, why = _entry(state, flags, lock_out)
-    parts, text, follows, priority = _headline(state, causes, alarms)
+    parts, text, after, priority = _headline(state, causes, alarms)
     return OperatorView(causes, _does(state, flags), _blocks(state, causes, verbs),
-                        _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, follows,
+                        _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, after,
                         priority)  # fmt: skip
 
 
@@ -168,15 +169,16 @@ def _headline(
         return (), "", (), ""
     root = causes[0]
     row = _row_of(root.fault, root.text, alarms)
-    rows = [alarm.cause for alarm in alarms if (alarm.stands or alarm.latched) and alarm is not row]
-    follows = rows if alarms else list(dict.fromkeys(cause.fault for cause in causes if cause.fault != root.fault))
     culprit = state.get("culprit")
     culprit = culprit if isinstance(culprit, dict) else {}
     named = culprit.get("parts")
+    open_rows = [alarm for alarm in alarms if (alarm.stands or alarm.latched) and alarm is not row]
+    rows = [alarm.cause for alarm in open_rows if not named or follows(alarm, state)]
+    after = rows if alarms else list(dict.fromkeys(cause.fault for cause in causes if cause.fault != root.fault))
     parts = tuple(str(part) for part in named[:2]) if isinstance(named, list) and named else (root.fault,)
     aged = root.text and Trait.AGE in Fault.__members__.get(root.fault, Fault.NONE).traits
     text = str(culprit.get("text") or (f"{root.text} at the trip" if aged else root.text))  # it goes on getting older
-    return parts, text, tuple(follows), row.priority.name if row is not None else ""
+    return parts, text, tuple(after), row.priority.name if row is not None else ""
 
 
 def _does(state: dict[str, Any], flags: list[str]) -> str:

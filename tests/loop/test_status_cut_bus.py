@@ -48,7 +48,7 @@ def test_a_cut_bus_is_what_to_do_first_in_eight_lines(
         "FAULT KEEP OUT: nothing valid is heard of the drive", "load not known what holds the load",
         "fault BUS_SILENT: no frame on the bus for 16 ms (limit 15 ms)", "culprit bus or its power supply",
         "Check the CAN interface, cable, termination and the devices' power, away from the load.",
-        " BUS_SILENT +",
+        "alarms URGENT BUS_SILENT +",
     ):  # fmt: skip
         assert words in text
     everything = printed(rig, shown, capsys, all_=True)

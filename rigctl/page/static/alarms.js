@@ -39,10 +39,11 @@ export class AlarmTable {
     const badge = cell(tr, "").appendChild(span(SIGN[row.priority], "badge-of"));
     badge.append(span(` ${row.priority.toUpperCase()}`, "word"));
     const cause = cell(tr, "");
+    if (row.follows) cause.append(span("↳ ", "follows")); // from the culprit, under its first alarm
     const name = cause.appendChild(button("open", row.cause));
     name.replaceChildren(...row.cause.split("_").flatMap((part, i) => (i ? ["_", document.createElement("wbr"), part] : [part]))); // a long name breaks behind an underscore
     name.className = "cause";
-    name.setAttribute("aria-label", `${row.cause}: ${open ? "hide" : "show"} its words and remedy`);
+    name.setAttribute("aria-label", `${row.cause}${row.follows ? ", follows from the cause named above" : ""}: ${open ? "hide" : "show"} its words and remedy`);
     name.setAttribute("aria-expanded", String(open));
     if (open) cause.append(span(` ${row.text} `, "words"), span(`→ ${row.remedy}`, "remedy"));
     cell(tr, row.value || row.limit ? `${row.value || "-"}, limit ${row.limit || "-"}` : "");

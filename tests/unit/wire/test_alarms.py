@@ -16,7 +16,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.notes import worded as worded_note
-from rigctl.wire.alarm_words import alarm_rows, block, standing, tally
+from rigctl.wire.alarm_words import alarm_rows, block, in_brief, listed, standing, tally
 from rigctl.wire.alarms import (
     CHATTERING_NS,
     LONGEST_SHELF_S,
@@ -93,8 +93,79 @@ def test_the_row_of_the_latched_fault_is_before_those_that_follow_from_it() -> N
     """With a silent bus eight newer rows hid it, and the list showed five."""
     alarms = Alarms([trip(0, Fault.BUS_SILENT), trip(1, Fault.CELL_STALE, Action.POWER_OFF)])
     active = [cause(Fault.CELL_STALE), cause(Fault.BUS_SILENT)]
-    rows = alarms.rows(CALM | {"fault": "BUS_SILENT", "causes": active}, 2 * S)
-    assert [row.cause for row in rows] == ["BUS_SILENT", "CELL_STALE"]
+    culprit = {"parts": ["bus"], "follows": ["CELL_STALE", "BUS_SILENT"]}
+    state = CALM | {"fault": "BUS_SILENT", "causes": active, "culprit": culprit}
+    assert [row.cause for row in alarms.rows(state, 2 * S)] == ["BUS_SILENT", "CELL_STALE"]
+    assert [row.cause for row in alarms.rows(state | {"culprit": None}, 2 * S)] == ["CELL_STALE", "BUS_SILENT"]
+
+
+def test_rows_are_sorted_by_priority_then_by_the_time_when_they_came_whatever_became_of_them() -> None:
+    """An alarm that was cleared or acknowledged had been below those of a lower priority."""
+    alarms = Alarms([
+        event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), trip(1, Fault.CELL_STALE),
+        event(Kind.CAUSE, 2, Fault.DRIVE_FAULT, Action.POWER_OFF), event(Kind.CAUSE, 3, Fault.DRIVE_STALE, Action.HOLD),
+        event(Kind.CAUSE_OVER, 4, Fault.DRIVE_FAULT, Action.POWER_OFF), note(Note.ALARM_ACKNOWLEDGED, 5, "CELL_STALE"),
+    ])  # fmt: skip
+    expected = ["DRIVE_FAULT", "CELL_STALE", "DRIVE_STALE", "LIMIT tension_n above"]
+    assert [row.cause for row in alarms.rows(None, 6 * S)] == expected
+    alarms.note(trip(7, Fault.CELL_STALE))
+    assert [row.cause for row in alarms.rows(None, 8 * S)] == expected, "coming again moves no row"
+
+
+def test_what_follows_is_together_at_its_strongest_priority_on_every_display() -> None:
+    culprit = {"parts": ["bus"], "text": "cut", "follows": ["BUS_SILENT", "DRIVE_UNASKED"]}
+    state = CALM | {"fault": "BUS_SILENT", "causes": [cause(Fault.BUS_SILENT)], "culprit": culprit}
+    alarms = Alarms([
+        event(Kind.ENDING, 0, EndStep.WAITS, 0, 10.0, 300.0), event(Kind.CAUSE, 0.5, Fault.CELL_STALE, Action.HOLD),
+        trip(1, Fault.BUS_SILENT), event(Kind.CAUSE, 2, Fault.DRIVE_UNASKED, Action.POWER_OFF),
+    ])  # fmt: skip
+    rows = alarms.rows(state, 3 * S)
+    order = ["BUS_SILENT", "DRIVE_UNASKED", "ENDING", "CELL_STALE"]
+    assert [row.cause for row in rows] == order
+    assert in_brief(rows, 3 * S, state) == ["URGENT BUS_SILENT +1 that follow", "URGENT ENDING", "HIGH CELL_STALE"]
+    labels = [(label, words.split(",")[0]) for label, words, _ in alarm_rows(rows, 3 * S, state)]
+    assert labels == [("follows", "HIGH BUS_SILENT"), ("follows", "URGENT DRIVE_UNASKED"), ("alarm", "URGENT ENDING"),
+                      ("alarm", "HIGH CELL_STALE")]  # fmt: skip
+    lines = [line for line in listed(rows, state, 3 * S) if not line.startswith(("         ", "        ->"))]
+    assert [next(name for name in ["CULPRIT", "FIRST", *order] if name in line) for line in lines[:4]] == [
+        "CULPRIT", "FIRST", "BUS_SILENT", "DRIVE_UNASKED",
+    ]  # fmt: skip
+    assert [as_message(row, 3 * S, state)["follows"] for row in rows] == [True, True, False, False]
+
+
+def test_an_urgent_alarm_is_above_a_culprit_whose_alarms_are_high() -> None:
+    state = CALM | {"mode": "FAULT", "fault": "CELL_STALE", "causes": [cause(Fault.CELL_STALE)],
+                    "culprit": {"parts": ["tension cell"], "text": "silent", "follows": ["CELL_STALE"]}}  # fmt: skip
+    alarms = Alarms([trip(0), event(Kind.ENDING, 1, EndStep.WAITS, 0, 10.0, 300.0)])
+    rows = alarms.rows(state, 2 * S)
+    assert [row.cause for row in rows] == ["ENDING", "CELL_STALE"]
+    lines = listed(rows, state, 2 * S)
+    assert lines[0].startswith("URGENT  ENDING")
+    assert lines[3].startswith("CULPRIT tension cell")
+
+
+def test_a_priority_does_not_fall_while_the_alarm_is_open() -> None:
+    """The state had lowered that of an escalation again: its own reaction had been the weaker one."""
+    escalation = event(Kind.ESCALATION, 1, Fault.BUS_SILENT, 1)
+    alarms = Alarms([trip(0, Fault.BUS_SILENT), escalation])
+    state = CALM | {"mode": "FAULT", "fault": "BUS_SILENT", "causes": [cause(Fault.BUS_SILENT)]}
+    (row,) = alarms.rows(state, 2 * S)
+    assert row.priority is Priority.URGENT
+    alarms.note(note(Note.ALARM_ACKNOWLEDGED, 3, "BUS_SILENT"))
+    alarms.note(over(4, Fault.BUS_SILENT))
+    alarms.note(event(Kind.CAUSE, 5, Fault.BUS_SILENT, Action.HOLD, 16e6, 15e6))  # latched meanwhile, so still open
+    (row,) = alarms.rows(state, 6 * S)
+    assert row.priority is Priority.URGENT
+    alarms.note(over(7, Fault.BUS_SILENT))
+    alarms.note(event(Kind.RESET, 8, Fault.BUS_SILENT))
+    alarms.note(trip(9, Fault.BUS_SILENT))
+    (row,) = alarms.rows(state, 10 * S)
+    assert (row.priority, row.count) == (Priority.HIGH, 3)
+
+
+def test_a_stronger_reaction_raises_the_priority_of_an_active_cause() -> None:
+    (row,) = Alarms([trip(0)]).rows(CALM | {"causes": [cause(Fault.CELL_STALE, Action.QUICK_STOP)]}, S)
+    assert row.priority is Priority.URGENT
 
 
 def test_a_chattering_alarm_is_one_row() -> None:
@@ -360,7 +431,7 @@ def test_any_events_make_one_row_for_each_cause(raw: list[tuple[Kind, Fault, str
         assert 1 <= row.count <= len(mine)
         assert mine[0]["wall_ns"] == row.first_ns <= row.last_ns == mine[-1]["wall_ns"]
         assert row.stands or not row.acknowledged
-    order = [(row.shelved(now), bool(row.acknowledged), not row.stands, row.priority) for row in rows]
+    order = [(row.shelved(now), row.priority, row.first_ns) for row in rows]
     assert order == sorted(order)
 
 
@@ -381,9 +452,3 @@ def test_the_row_of_a_latched_fault_stays_until_the_reset() -> None:
     assert tally([row], 5 * S) == "1 latched"
     assert alarms.rows(CALM, 5 * S) == []
     assert tally([], 5 * S, barred=2) == "2 checks bar ARM"
-
-
-def test_an_active_cause_has_the_priority_of_its_reaction_now() -> None:
-    alarms = Alarms([trip(3.0, action=Action.POWER_OFF)])
-    state = CALM | {"mode": "FAULT", "fault": "CELL_STALE", "causes": [cause(Fault.CELL_STALE)]}
-    assert [row.priority for row in alarms.rows(state, 4 * S)] == [Priority.HIGH]

@@ -56,13 +56,13 @@ def test_the_culprit_comes_first_with_its_question_and_what_to_do() -> None:
 
 
 def test_alarms_that_follow_are_listed_under_it_without_their_remedies() -> None:
-    lines = listed([STOP, STUCK], state(), 0)
+    lines = listed([STUCK, STOP], state(), 0)
     assert lines[0].startswith("CULPRIT rope or spring")
     (following,) = [line for line in lines if "CELL_STUCK" in line]
     assert following.startswith("        follows: ")
     assert lines.index(following) < next(i for i, line in enumerate(lines) if "E_STOP" in line)
     assert [line for line in lines if "remedy" in line] == ["        -> remedy"]
-    assert [label for label, *_ in alarm_rows([STOP, STUCK], 0, state())] == ["follows", "alarm"]
+    assert [label for label, *_ in alarm_rows([STUCK, STOP], 0, state())] == ["follows", "alarm"]
     assert [label for label, *_ in alarm_rows([STOP, STUCK], 0)] == ["alarm", "alarm"]
 
 

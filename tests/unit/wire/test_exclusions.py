@@ -89,6 +89,16 @@ def test_one_count_of_what_follows() -> None:
     assert message["tally"].startswith("9 active")
 
 
+def test_the_page_marks_in_its_table_what_it_counts_beside_the_culprit() -> None:
+    """A row that is on its own is neither; every display folds the same rows, in one order."""
+    (shown,) = (shown for shown in STATES if shown.name == "BUS_SILENT active, BRAKE, without []")
+    culprit = {"parts": ["bus"], "text": "", "question": "", "first": "", "follows": ["BUS_SILENT", "DRIVE_STALE"]}
+    message = state_message(picture_of(Shown("", shown.state | {"culprit": culprit}, shown.events)), holds_lease=True)
+    marked = [row["cause"] for row in message["alarms"] if row["follows"]]
+    assert marked == ["BUS_SILENT", *message["answers"]["follows"]] == ["BUS_SILENT", "DRIVE_STALE"]
+    assert [row["cause"] for row in message["alarms"]][:2] == marked
+
+
 def test_the_verbs_without_a_button_are_not_listed_as_impossible() -> None:
     """CARRY and LOWER have one in FAULT alone."""
     held, fault = (
