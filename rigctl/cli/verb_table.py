@@ -47,7 +47,9 @@ VERBS = (
         "Show mode, what holds the load, what is wrong, what to do next, alarms and tension.",
     ),
     VerbRow(
-        "alarms", "alarms:alarms", "Show the alarms, or acknowledge or shelve one; every display of the rig follows."
+        "alarms",
+        "alarms:alarms",
+        "Show the alarms, acknowledge one or all, or shelve one; every display of the rig follows.",
     ),
     VerbRow("watch", "watch:watch", "Follow the rig; Ctrl-C ends."),
     VerbRow(

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import json
+import time
 
+import pytest
+
+from rigctl.ipc.notes import Note
 from rigctl.wire.alarms import AlarmAct, Alarms
 from tests.builders.miniature import Daemon
 from tests.builders.operators import ANNA, KIM
 from tests.builders.stand_in import TRIP_N
+from tests.builders.waiting import until
 
 
 def test_a_session_with_an_alarm(own: Daemon) -> None:
@@ -48,3 +53,41 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
     assert f"(latched, acknowledged by {KIM})" in own.cli("alarms").stdout  # until the reset
     assert own.cli("reset").returncode == 0
     assert own.cli("alarms").stdout == "no alarms\n"
+
+
+def test_all_open_alarms_are_acknowledged_at_once_each_on_record(own: Daemon) -> None:
+    own.client().close()
+    done = own.cli("alarms", "acknowledge", "--all")
+    assert (done.returncode, done.stdout) == (0, "every alarm is acknowledged\n")
+    for verb in (("arm",), ("target", str(TRIP_N))):
+        own.cli(*verb)
+    own.kill_gateway()  # whose ring it is; the port is free again for the next one, so that the alarm is cleared
+    own.runtime.notes.writer().write(time.monotonic_ns(), int(Note.ENDPOINT_TAKEN), b"", own.endpoint.encode(), b"")
+    own.start_gateway()
+    own.client().close()
+    rows = until(lambda: len(found := json.loads(own.cli("alarms", "--json").stdout)) == 2 and found, "two alarms")
+    assert own.cli("alarms", "shelve", rows[1]["cause"], "--reason", "tea", "--for", "9").returncode == 0
+    done = own.cli("alarms", "acknowledge", "--all", "--operator", "kim")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.splitlines() == [f"{KIM} acknowledges the alarm {row['cause']}" for row in rows]
+    (latched,) = json.loads(own.cli("alarms", "--json").stdout)  # the other one is closed, being cleared
+    assert (latched["cause"], latched["latched"], latched["acknowledged"]) == (rows[0]["cause"], True, KIM)
+    with own.client() as client:
+        noted = [event for event in client.past_events() if event["kind"] == "ALARM_ACKNOWLEDGED"]
+    assert [(event["other"], event["operator"]) for event in noted] == [(row["cause"], KIM) for row in rows]
+    done = own.cli("alarms", "acknowledge", "--all", "--json")
+    assert (done.returncode, json.loads(done.stdout)) == (0, [])
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("acknowledge",), "found no cause, expected acknowledge CAUSE or acknowledge --all"),
+        (("acknowledge", "E_STOP", "--all"), "found the cause 'E_STOP' and --all, expected one of them"),
+        (("shelve", "--all"), "found --all, expected acknowledge with it, not shelve"),
+        (("--all",), "found --all, expected acknowledge with it, not show"),
+    ],
+)
+def test_which_alarms_is_said_one_way(shared: Daemon, words: tuple[str, ...], line: str) -> None:
+    done = shared.cli("alarms", *words)
+    assert (done.returncode, done.stdout, done.stderr) == (2, "", f"rigctl: {line}\n")

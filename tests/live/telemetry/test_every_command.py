@@ -58,7 +58,8 @@ OFFLINE = (
 )  # fmt: skip
 DEMO = "demo RIG --lockstep --recordings FOLDER --json -"
 COMMANDED = (
-    "status --all", "alarms", "doctor PAPER", "lease take --reason mine", "lease show", "arm --near-end",
+    "status --all", "alarms", "alarms acknowledge --all", "doctor PAPER", "lease take --reason mine", "lease show",
+    "arm --near-end",
     "tension --wait", "calibrate --weight-n 294.2 --adopt", "target 290", "move 1", "release --wait", "hold",
     "disarm", "reset", "carry 5", "lower", "confirm-stroke 0", "tare", "calibrate --shunt", "identify --in tension",
     "gains PAPER", "--key FOLDER/none.pem status",
