@@ -27,6 +27,7 @@ from rigctl.control.modes import FILED, NEEDS_MOTOR, Setting, SettingOrder, Verb
 from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
+from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc import ledger
@@ -192,6 +193,10 @@ class CommandServer:
     def note_endpoint(self, endpoint: str, *, is_taken: bool) -> None:
         """Have noted that another program has the endpoint of the network, or that it is this daemon's again."""
         self._work.put(lambda: self._leases.note_endpoint(endpoint, time.monotonic_ns(), is_taken=is_taken))
+
+    def note_process(self, note: ProcessNote) -> None:
+        """Have noted that recorder or gateway has ended unwanted, or is back."""
+        self._work.put(lambda: self._leases.note_process(note))
 
     def _note_refused(self) -> None:
         self._leases.note_refused(self._rate.report(), time.monotonic_ns())

@@ -35,6 +35,7 @@ from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.command_queries import take_queries
 from rigctl.gateway.command_server import CommandServer, Giver, Reply
 from rigctl.gateway.command_socket import CommandSocket
+from rigctl.gateway.ended_processes import EndedProcesses, ProcessNote
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
 from rigctl.gateway.published_position import Cursor
@@ -302,6 +303,7 @@ class Gateway:
             self._preflight,
             run_id,
         )
+        self._ended = EndedProcesses(runtime)
         verdict = self._preflight.verdict(now)
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
@@ -336,6 +338,8 @@ class Gateway:
             self._read_ns = now + _READ_NS
             self._publish_active()
             self._outdated = self._admission.has_changed()
+            for note in self._ended.look():
+                self._commands.note_process(note)
         lease = self._leases.shown(now)
         state = self._view.make(now, self._fast.lost, self._calibration.standing, lease, verdict, self._cursor)
         self._view.newest = state  # before the events, see above
@@ -392,6 +396,9 @@ class Gateway:
             due += self._period_ns * max(1, -((due - now) // self._period_ns))
             time.sleep(max(0.0, (due - time.monotonic_ns()) / 1e9))
         if self._outdated:
+            why = "the access list has changed"
+            now_ns = time.monotonic_ns()
+            self._commands.note_process(ProcessNote(now_ns, Note.PROCESS_BACK, "gateway", why))
             sys.stderr.write("gateway: the access list has changed; it is started anew with the new one\n")
 
     def close(self) -> bool:

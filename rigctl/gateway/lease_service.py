@@ -13,6 +13,7 @@ import msgspec
 
 from rigctl.config.quantity import count
 from rigctl.gateway.command_rate import RefusedCommands
+from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc.notes import Note, worded
 from rigctl.ipc.runtime_folder import Runtime
@@ -111,6 +112,10 @@ class LeaseService:
     def note_endpoint(self, endpoint: str, now_ns: int, *, is_taken: bool) -> None:
         """Note that another program has the endpoint of the network, or that it is this daemon's again."""
         self._note(now_ns, Note.ENDPOINT_TAKEN if is_taken else Note.ENDPOINT_BACK, other=endpoint)
+
+    def note_process(self, note: ProcessNote) -> None:
+        """Note that recorder or gateway has ended unwanted, or is back."""
+        self._note(note.t_ns, note.kind, other=note.process, reason=note.reason)
 
     def note_alarm(self, request: AlarmRequest, now_ns: int) -> dict[str, Any]:
         """Note what an operator decides about an alarm, which takes no lease; returns the answer."""

@@ -31,6 +31,8 @@ class Note(IntEnum):
     CONNECTION_CLOSED = 69  # operator: name in the certificate; other: who and from where; reason: why
     ENDPOINT_TAKEN = 70  # other: the endpoint, which another program has
     ENDPOINT_BACK = 71  # other: the endpoint
+    PROCESS_LOST = 72  # other: the process, which has ended unwanted; reason: how, and when it restarts
+    PROCESS_BACK = 73  # other: the process; reason: of the gateway's own, why it ends in order after this note
 
 
 _WORDS = {
@@ -48,6 +50,8 @@ _WORDS = {
         "The sockets of this computer work",
     ),
     Note.ENDPOINT_BACK: ("info", "{other} is this daemon's again"),
+    Note.PROCESS_LOST: ("warning", "{other} process {reason}"),
+    Note.PROCESS_BACK: ("info", "{other} process is started again{why}"),
 }
 """Severity and words of the notes that have one form."""
 

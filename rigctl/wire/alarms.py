@@ -30,6 +30,13 @@ LOOP_SILENT = "LOOP_SILENT"
 NOT_WATCHED = "not watched"
 ENDPOINT_TAKEN = "ENDPOINT_TAKEN"
 _ENDPOINT_REMEDY = "End the program at that port; ss -ltnp names it. The sockets of this computer work meanwhile."
+_PROCESS_REMEDIES = {
+    "recorder": "The daemon's log has why it ended; look at disk and memory. The rings' history is made up for.",
+    "gateway": "The daemon's log has why it ended. The loop ran on; HOLD of this computer needs no gateway.",
+}
+"""Processes whose end is an alarm of its own, ``NAME_ENDED``."""
+_OF_GATEWAY = frozenset({ENDPOINT_TAKEN, "RECORDER_ENDED", "GATEWAY_ENDED"})
+"""Causes that a restart of the loop does not end."""
 _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 
 
@@ -218,7 +225,7 @@ class Alarms:
             self._decided(event)
         elif kind == "STARTED":
             self._latched = ""
-            for cause in self._rows.keys() - {ENDPOINT_TAKEN}:
+            for cause in self._rows.keys() - _OF_GATEWAY:
                 self._change(cause, stands=False, watched=True)
         elif cause := cause_of(event):
             if kind in _ENDS or (kind in _LASTING and event.get("severity") == "info"):
@@ -264,6 +271,11 @@ class Alarms:
             case "ENDPOINT_TAKEN":
                 text, at = str(note.get("text", "")), int(note["wall_ns"])
                 self._came(Alarm(ENDPOINT_TAKEN, Priority.LOW, text, _ENDPOINT_REMEDY, at, at, onsets_ns=(at,)))
+            case "PROCESS_LOST" if remedy := _PROCESS_REMEDIES.get(cause):
+                text, at = str(note.get("text", "")), int(note["wall_ns"])
+                self._came(Alarm(_ended(cause), Priority.LOW, text, remedy, at, at, onsets_ns=(at,)))
+            case "PROCESS_BACK":
+                self._change(_ended(cause), stands=False)
             case "ENDPOINT_BACK":
                 self._change(ENDPOINT_TAKEN, stands=False)
 
@@ -297,6 +309,11 @@ def follows(row: Alarm, state: dict[str, Any] | None) -> bool:
     """Whether an alarm is a consequence of the culprit that the state names."""
     found = (state or {}).get("culprit")
     return isinstance(found, dict) and row.cause.partition(" ")[0] in found.get("follows", ())
+
+
+def _ended(process: str) -> str:
+    """The cause that the end of a process is."""
+    return f"{process.upper()}_ENDED"
 
 
 def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: dict[str, Any]) -> dict[str, Alarm]:

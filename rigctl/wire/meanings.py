@@ -116,6 +116,8 @@ NOTES: dict[Note, str] = {
     Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
     Note.ENDPOINT_TAKEN: "another program has the endpoint of the network, which a gateway before had; other: it",
     Note.ENDPOINT_BACK: "the endpoint of the network is the daemon's again; other: it",
+    Note.PROCESS_LOST: "a process (other: recorder or gateway) has ended unwanted; reason: how",
+    Note.PROCESS_BACK: "such a process (other) is started again; reason: of one started anew in order, why",
     Note.CONNECTION_CLOSED: "the gateway closed a connection to keep the places of others; other: who, reason: why",
     Note.LEASE_NOT_BELIEVED: "lease.json holds no lease to be believed; nobody holds the lease",
 }

@@ -40,7 +40,7 @@ def test_a_daemon_runs_on_its_gain_file_and_shows_where_the_gains_come_from(tmp_
     log = tmp_path / "daemon.log"
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
         until(lambda: daemons.state(file).get("design"), log=log)
-        shown = daemons.rigctl("status", file=file).stdout
+        shown = daemons.rigctl("status", "--all", file=file).stdout
         active = _active(file)["design"]
     assert "gains of gains.yaml, 20" in " ".join(shown.split())
     assert (active["waiver"], active["warnings"]) == (None, [])
@@ -72,7 +72,7 @@ def test_status_shows_the_words_of_a_waiver(tmp_path: pathlib.Path) -> None:
     log = tmp_path / "daemon.log"
     with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, log):
         until(lambda: daemons.state(file).get("design"), log=log)
-        shown = " ".join(daemons.rigctl("status", file=file).stdout.split())
+        shown = " ".join(daemons.rigctl("status", "--all", file=file).stdout.split())
         said = daemons.state(file)
     assert WAIVER in shown
     assert any(WAIVER in warning for warning in said["warnings"])

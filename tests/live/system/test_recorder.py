@@ -75,7 +75,7 @@ def test_a_session_with_a_trip_is_on_record_and_the_recorders_death_changes_noth
     slow.rig.send_signal(signal.SIGCONT)
     told = until(lambda: (s := daemons.state(file)).get("trip_dump") and s, log=slow.log)
     assert told["trip_dump"] == json.loads(slow.do("status", "--json"))["trip_dump"]
-    assert "trip dump" in slow.do("status")
+    assert "trip dump" in slow.do("status", "--all")
     head = told["audit"]["head"]
     answer = daemons.rigctl("audit", "verify", str(file), "--head", head)
     assert (answer.returncode, answer.stderr) == (0, "")
@@ -155,7 +155,7 @@ def test_a_full_disk_is_told_and_the_daemon_goes_on(tmp_path: pathlib.Path) -> N
                     out_.write(b"x" * 512)
             running.do("hold")
             until(lambda: runtime.read_json(RECORDED)["failures"] > 1, log=log)
-            assert "No space left" in running.do("status")
+            assert "No space left" in running.do("status", "--all")
             assert daemons.mode(file) == "HOLD"
             rig.send_signal(signal.SIGSTOP)
             until(lambda: daemons.mode(file) == "FAULT", log=log)
