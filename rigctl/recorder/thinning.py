@@ -4,7 +4,8 @@ Accepted commands, trips, changes of mode, the supervisor's actions and kinds no
 repeats of HOLD and of lease commands become one entry. Repeats that go on are counted once a minute. All others are
 limited to ``RATE_HZ`` entries and ``RATE_BYTES`` a second, after ``BURST`` entries or ``BURST_BYTES`` at once, and to
 ``DAY_BYTES`` in 24 hours; an entry gives the count of those left out. HOLD, which needs neither lease nor key, has
-limits of its own, so that no other flood keeps an operator's HOLD off the log.
+limits of its own with all its entries (order, reply, event): once for the local sockets, which every user of this
+computer can flood, and once for HOLD as a command. No flood of the one keeps entries of the others off the log.
 """
 
 from __future__ import annotations
@@ -12,9 +13,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from enum import Enum, auto
 from typing import Any
 
 from rigctl.config import quantity
+from rigctl.control.modes import Verb
+from rigctl.ipc.record import HOLD_ID
 from rigctl.recorder.audit_log import Item
 
 WINDOW_NS, NEXT_WINDOW_NS = 10_000_000_000, 60_000_000_000
@@ -23,8 +27,8 @@ WRITTEN_FIRST = 3  # equal items written within a window before the others are o
 RATE_HZ, BURST = 20, 2_000
 RATE_BYTES, BURST_BYTES = 16_384, 1 << 20
 DAY_BYTES, DAY_S = 32 << 20, 86_400
-"""At most, in any 24 hours: half of it at once, the other half as it is refilled."""
-SAME_MAX = 512  # keys watched for repeats at a time
+"""At most of one share, in any 24 hours: half of it at once, the other half as it is refilled."""
+SAME_MAX = 512  # keys of one share watched for repeats at a time
 ENTRY_BYTES = 420  # of an entry without its texts: hashes, times, positions of the rings
 
 _SAME: dict[str, tuple[str, ...]] = {
@@ -71,11 +75,20 @@ class _Same:
     window_ns: int = WINDOW_NS
 
 
-_OF_HOLD = frozenset({"local_hold_given", "local_hold", "hold_without_lease"})
+class _Of(Enum):
+    """Whose limits an entry counts against."""
+
+    LOCAL_HOLD = auto()
+    HOLD = auto()
+    OTHERS = auto()
 
 
-def _is_hold(item: Item) -> bool:
-    return item.what in _OF_HOLD or item.details.get("verb") == "hold"
+_LOCAL = frozenset({"local_hold_given", "local_hold"})
+_HOLD_VERBS = ("hold", Verb.HOLD)  # as a command has it, and as the loop's order
+
+
+def _is_local_hold(item: Item) -> bool:
+    return item.what in _LOCAL or (item.what == "reply" and bool(item.details.get("id", 0) & HOLD_ID))
 
 
 def _is_counted(item: Item) -> bool:
@@ -83,10 +96,11 @@ def _is_counted(item: Item) -> bool:
     return item.what in _COUNTED or _key(item) is not None
 
 
-class _Budget:
-    """Entries and bytes that may be written now: in a burst, in the long run, in a day."""
+class _Share:
+    """Entries and bytes that may be written now: in a burst, in the long run, in a day; and the repeats watched for."""
 
     def __init__(self) -> None:
+        self.same: dict[tuple[Any, ...], _Same] = {}
         self._entries, self._bytes, self._day = float(BURST), float(BURST_BYTES), DAY_BYTES / 2
         self._seen_ns = 0
 
@@ -106,6 +120,8 @@ class _Budget:
 
 def _key(item: Item) -> tuple[Any, ...] | None:
     """Key that repeats of an item share; None if each is written."""
+    if _is_local_hold(item):  # whatever name the sender gives: it would be a new one each time
+        return (item.what, *map(item.details.get, _SAME.get(item.what, ("accepted", "reason", "mode"))))
     if item.what in _SAME:
         about = tuple(item.text if name == "text" else item.details.get(name) for name in _SAME[item.what])
         return (item.source, item.what, item.who, *about)
@@ -123,35 +139,39 @@ class Thinning:
     """Selects the items to write and counts the others."""
 
     def __init__(self) -> None:
-        self._same: dict[tuple[Any, ...], _Same] = {}
+        self._shares = {of: _Share() for of in _Of}
+        self._holds: set[int] = set()  # ids of orders of HOLD without a reply yet
         self._left_out: Counter[str] = Counter()
         self._left_out_ns = 0
-        self._of_hold, self._others = _Budget(), _Budget()
 
     def thin(self, items: Iterable[Item], now_ns: int, wall_ns: int, *, final: bool = False) -> list[Item]:
         """The items to write, and an item for each count that is due; ``final``: for all counts."""
-        kept = [item for item in items if not self._repeats(item) and self._affords(item, now_ns)]
+        kept = []
+        for item in items:
+            share = self._shares[self._of(item)]
+            if not _repeats(item, share.same) and self._affords(item, share, now_ns):
+                kept.append(item)
         return [*kept, *self._counts(now_ns, wall_ns, final=final)]
 
-    def _repeats(self, item: Item) -> bool:
-        key = _key(item)
-        if key is None:
-            return False
-        same = self._same.get(key)
-        if same is None:
-            if len(self._same) < SAME_MAX:
-                self._same[key] = _Same(item, item)
-            return False
-        if same.written < WRITTEN_FIRST:
-            same.written += 1
-            return False
-        same.count += 1
-        same.last = item
-        return True
+    def _of(self, item: Item) -> _Of:
+        if _is_local_hold(item):
+            return _Of.LOCAL_HOLD
+        if item.what == "reply":
+            replied = item.details.get("id") in self._holds
+            self._holds.discard(item.details.get("id", 0))
+            return _Of.HOLD if replied else _Of.OTHERS
+        if item.what == "hold_without_lease":
+            return _Of.HOLD
+        if item.details.get("verb") not in _HOLD_VERBS:
+            return _Of.OTHERS
+        if item.what == "order":
+            if len(self._holds) >= SAME_MAX:  # of loops that ended without a reply
+                self._holds.clear()
+            self._holds.add(item.details["id"])
+        return _Of.HOLD
 
-    def _affords(self, item: Item, now_ns: int) -> bool:
-        budget = self._of_hold if _is_hold(item) else self._others
-        if budget.takes(size_of(item), now_ns, always=not _is_counted(item)):
+    def _affords(self, item: Item, share: _Share, now_ns: int) -> bool:
+        if share.takes(size_of(item), now_ns, always=not _is_counted(item)):
             return True
         self._leave_out(item.what, 1, item.t_ns)
         return False
@@ -162,15 +182,16 @@ class Thinning:
 
     def _counts(self, now_ns: int, wall_ns: int, *, final: bool) -> list[Item]:
         found = []
-        for key, same in list(self._same.items()):
-            if final or now_ns - same.first.t_ns >= same.window_ns:
-                if not same.count:
-                    del self._same[key]
+        for share in self._shares.values():
+            for key, same in list(share.same.items()):
+                if not final and now_ns - same.first.t_ns < same.window_ns:
                     continue
-                self._same[key] = _Same(same.last, same.last, written=WRITTEN_FIRST, window_ns=NEXT_WINDOW_NS)
+                if not same.count:
+                    del share.same[key]
+                    continue
+                share.same[key] = _Same(same.last, same.last, written=WRITTEN_FIRST, window_ns=NEXT_WINDOW_NS)
                 repeated = _repeated(same, now_ns, wall_ns)
-                budget = self._of_hold if _is_hold(same.last) else self._others
-                if final or budget.takes(size_of(repeated), now_ns, always=False):
+                if final or share.takes(size_of(repeated), now_ns, always=False):
                     found.append(repeated)
                 else:
                     self._leave_out(same.last.what, same.count, same.first.t_ns)
@@ -185,6 +206,24 @@ class Thinning:
             found.append(Item(now_ns, wall_ns, "left_out", text, details=dict(self._left_out)))
             self._left_out, self._left_out_ns = Counter(), 0
         return found
+
+
+def _repeats(item: Item, watched: dict[tuple[Any, ...], _Same]) -> bool:
+    """Whether it repeats an item enough times to be counted alone."""
+    key = _key(item)
+    if key is None:
+        return False
+    same = watched.get(key)
+    if same is None:
+        if len(watched) < SAME_MAX:
+            watched[key] = _Same(item, item)
+        return False
+    if same.written < WRITTEN_FIRST:
+        same.written += 1
+        return False
+    same.count += 1
+    same.last = item
+    return True
 
 
 def _repeated(same: _Same, now_ns: int, wall_ns: int) -> Item:

@@ -7,6 +7,8 @@ from typing import Any
 
 import pytest
 
+from rigctl.control.modes import Verb
+from rigctl.ipc.record import HOLD_ID
 from rigctl.recorder import thinning
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.thinning import (
@@ -121,6 +123,80 @@ def test_a_flood_of_refusals_keeps_no_hold_off_the_log() -> None:
     flood(thin, [refusal(S + number * 100_000, f"user{number}") for number in range(60_000)])
     held = item(8 * S, "command_accepted", "HOLD: held", "anna", verb="hold")
     assert held in thin.thin([held], 8 * S, 8 * S)
+
+
+def local_hold(t_ns: int, uid: int, name: str) -> list[Item]:
+    """The entries of one HOLD on a local socket, as `rigctl.recorder.sources` words them."""
+    id_ = HOLD_ID | t_ns
+    reply = {"id": id_, "accepted": True, "reason": "NONE", "mode": "HOLD", "checks": []}
+    return [
+        item(t_ns, "local_hold_given", f"HOLD of {uid}", name, "holds", id=id_, uid=uid),
+        item(t_ns, "local_hold", f"HOLD from {name}", "", "events", a=uid, b=t_ns),
+        item(t_ns, "reply", "carried out, HOLD", "", "replies", **reply),
+    ]
+
+
+def command_hold(t_ns: int, who: str) -> list[Item]:
+    """The entries of one HOLD that comes as a command."""
+    return [
+        item(t_ns, "command_given", "hold", who, verb="hold", id=t_ns),
+        item(t_ns, "order", "HOLD", "", "commands", verb=int(Verb.HOLD), id=t_ns),
+        item(t_ns, "reply", "carried out, HOLD", "", "replies", id=t_ns, accepted=True, reason="NONE", mode="HOLD"),
+        item(t_ns, "command_accepted", "HOLD: held", who, verb="hold", id=t_ns),
+    ]
+
+
+def others(t_ns: int) -> list[Item]:
+    """A command that is carried out, a takeover, and a refusal of somebody else."""
+    return [
+        item(t_ns, "command_given", "lease_take", "anna", verb="lease_take", id=0),
+        item(t_ns, "command_accepted", "lease taken over", "anna", verb="lease_take", id=0),
+        item(t_ns, "lease_taken_over", "anna has the lease", "anna", "notes", other="kim"),
+        item(t_ns, "order", "TARGET 280", "", "commands", verb=int(Verb.TARGET), id=t_ns),
+        item(t_ns, "reply", "carried out, COMPENSATING", "", "replies", id=t_ns, accepted=True),
+    ]
+
+
+OF_HOLD: dict[str, Callable[[int, int], list[Item]]] = {
+    "one user": lambda t_ns, _n: local_hold(t_ns, 65534, "nobody"),
+    "one user with a new name each time": lambda t_ns, n: local_hold(t_ns, 65534, f"{n} (nobody)"),
+    "as a command, with a new name each time": lambda t_ns, n: command_hold(t_ns, f"kim{n}"),
+}
+
+
+@pytest.fixture(params=OF_HOLD)
+def flooded(request: pytest.FixtureRequest) -> tuple[str, Thinning, list[Item]]:
+    """Which flood, the state after half a minute of it, and its items of the poll that is next.
+
+    The loop takes 50 HOLDs of a user in a second; here six users flood it together.
+    """
+    per_s, seconds = 300, 30
+    items = [one for n in range(per_s * seconds) for one in OF_HOLD[request.param](S + n * S // per_s, n)]
+    thin, last_ns = Thinning(), items[-1].t_ns - S // 20
+    flood(thin, [one for one in items if one.t_ns <= last_ns], S // 40)
+    return request.param, thin, [one for one in items if one.t_ns > last_ns]
+
+
+def test_a_flood_of_hold_keeps_no_other_command_off_the_log(flooded: tuple[str, Thinning, list[Item]]) -> None:
+    _, thin, items = flooded
+    wanted = others(items[-1].t_ns)
+    assert [one for one in thin.thin([*items, *wanted], wanted[0].t_ns, 0) if one in wanted] == wanted
+
+
+def test_a_flood_of_hold_keeps_no_hold_by_another_way_off_the_log(flooded: tuple[str, Thinning, list[Item]]) -> None:
+    kind, thin, items = flooded
+    t_ns = items[-1].t_ns + 1
+    locally = local_hold(t_ns, 1000, "anna")[:2]  # that it was carried out is in the counted reply
+    wanted = [*locally, *([] if kind.startswith("as a command") else command_hold(t_ns, "anna"))]
+    assert [one for one in thin.thin([*items, *wanted], t_ns, 0) if one in wanted] == wanted
+
+
+def test_every_hold_of_a_flood_is_written_or_counted() -> None:
+    thin = Thinning()
+    items = [one for n in range(1500) for one in local_hold(S + n * S // 50, 65534 - n % 3, "nobody")]
+    written = [*flood(thin, items, S), *thin.thin([], 200 * S, 200 * S, final=True)]
+    counted = sum(one.details["count"] for one in written if one.what == "repeated")
+    assert counted + sum(one in items for one in written if one.what != "repeated") == len(items)
 
 
 def test_what_is_not_named_is_always_written() -> None:
