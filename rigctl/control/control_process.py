@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -23,7 +24,7 @@ from rigctl.control.cell_correction import cell_history
 from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.gain_table import ScheduledGains
-from rigctl.control.hold_sockets import HoldSockets
+from rigctl.control.hold_sockets import HoldSockets, prepared
 from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
@@ -31,9 +32,8 @@ from rigctl.control.tension import Gains
 from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData
-from rigctl.ipc.hold_socket import give, socket_name
 from rigctl.ipc.ledger import in_force
-from rigctl.ipc.runtime_folder import REFUSED, FolderError, RoomError, Runtime
+from rigctl.ipc.runtime_folder import REFUSED, FolderError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 
 WARM_UP_TICKS = 50
@@ -67,31 +67,27 @@ def open_bus(settings: RigSettings) -> can.BusABC:
         raise startup.StartupError(f"{where} cannot be opened: {error}") from None
 
 
-def warm_up(settings: RigSettings, gains: Gains, directory: Runtime, process_data: ProcessData) -> None:
+def warm_up(settings: RigSettings, gains: Gains, process_data: ProcessData) -> None:
     """Run every path of the tick on a bus of its own, so that no real tick is the first to execute its code.
 
-    Raises:
-        RoomError: the memory of its rings is not free.
+    Rings and socket are this process's alone: a loop that comes back needs no room that others could have taken.
     """
-    runtime = Runtime(directory.directory / f"warm-up-{os.getpid()}")
-    runtime.directory.mkdir(mode=0o700)
-    try:
-        runtime.make_rings(settings, history_s=1)
-        bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
-        other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
-        clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
-        holds = HoldSockets(runtime)
-        loop = Loop(
-            settings, gains, bus, clock, Rings.of(runtime), supervised=True, process_data=process_data, holds=holds
-        )
-        give(runtime.place(socket_name(os.geteuid())), "warm-up", 0.0, os.geteuid())
-        for _ in range(WARM_UP_TICKS):
-            loop.tick()
-        holds.close()
-        bus.shutdown()
-        other.shutdown()
-    finally:
-        runtime.remove()
+    bus = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+    other = can.Bus(interface="virtual", channel=f"warm-up-{os.getpid()}")
+    clock = SimulatedClock(settings.loop.period_ns, lambda _t: _answer(other, settings, process_data))
+    taken, given = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    holds = HoldSockets([prepared(taken)])
+    given.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)  # has the kernel give it an address for the answer
+    loop = Loop(
+        settings, gains, bus, clock, Rings.in_own_memory(), supervised=True, process_data=process_data, holds=holds
+    )
+    given.send(b"warm-up")
+    for _ in range(WARM_UP_TICKS):
+        loop.tick()
+    holds.close()
+    given.close()
+    bus.shutdown()
+    other.shutdown()
 
 
 def _answer(bus: can.BusABC, settings: RigSettings, process_data: ProcessData) -> None:
@@ -175,17 +171,17 @@ def run(directory: str) -> int:
         bus.shutdown()
         return EXIT_CANNOT_START  # the supervisor has ended or refused the design
     gains = msgspec.json.decode(line, type=ScheduledGains)
-    try:
-        warm_up(settings, gains, runtime, report.process_data)
-    except RoomError as error:
-        bus.shutdown()
-        _refuse(runtime, f"{settings.rig}: {error.strerror}")
-        return EXIT_CANNOT_START
+    warm_up(settings, gains, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))
     correction, kept = in_force(runtime).correction, last_stroke.in_force(runtime)
     history = cell_history(runtime.records.reader())
-    holds = HoldSockets(runtime)
+    try:
+        holds = HoldSockets.of(runtime)
+    except OSError as error:
+        bus.shutdown()
+        _refuse(runtime, f"{settings.rig}: the sockets for HOLD cannot be made: {error.strerror}")
+        return EXIT_CANNOT_START
     loop = Loop(
         settings,
         gains,
@@ -207,19 +203,20 @@ def run(directory: str) -> int:
     realtime.die_with_parent(SUPERVISOR_ENDED)
     frozen = realtime.freeze_garbage_collector()  # before real time: its 100 ms must not delay another loop
     applied = [*realtime.apply(settings.loop), frozen]
-    runtime.write_json(
-        "control.json",
-        {
-            "pid": os.getpid(),
-            "host_checks": int(Check.HOST),  # as the loop started with them, for a replay
-            "realtime": [asdict(setting) for setting in applied],
-            "last_stroke": asdict(kept.stroke),  # also for a replay
-            "kept_brake": asdict(kept.brake),  # also for a replay
-            "cell_history": history,  # also for a replay
-            "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
-            **report.as_json(),
-        },
-    )
+    found = {
+        "pid": os.getpid(),
+        "host_checks": int(Check.HOST),  # as the loop started with them, for a replay
+        "realtime": [asdict(setting) for setting in applied],
+        "last_stroke": asdict(kept.stroke),  # also for a replay
+        "kept_brake": asdict(kept.brake),  # also for a replay
+        "cell_history": history,  # also for a replay
+        "warnings": [f"{setting.name}: {setting.warning}" for setting in applied if not setting.ok],
+        **report.as_json(),
+    }
+    try:
+        runtime.write_json("control.json", found)
+    except OSError as error:
+        _say(f"WARNING: control.json cannot be written: {error.strerror}; what the loop found is not shown")
     loop.run()
     anew = loop.machine.starts_anew
     if loop.drive_off and not anew:  # else the drive keeps its supervision, which stops it

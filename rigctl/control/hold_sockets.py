@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pathlib
 import pwd
 import resource
 import select
 import socket
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from rigctl.ipc import access_list
@@ -75,45 +75,44 @@ class GivenHolds(deque[Hold]):
 
 
 class HoldSockets:
-    """The sockets in the run-time folder."""
+    """Datagram sockets that the loop reads HOLD from."""
 
-    def __init__(self, runtime: Runtime) -> None:
-        """Make them in place of those that a loop before has left.
+    def __init__(self, sockets: Iterable[socket.socket]) -> None:
+        """``sockets``: each `prepared`."""
+        self._epoll = select.epoll()
+        self._sockets = {one.fileno(): one for one in sockets}
+        self._resting: deque[tuple[int, int]] = deque()  # when each may be read again, and its descriptor
+        self._unanswered: dict[int, tuple[socket.socket, bytes]] = {}  # by the time of the tick that has taken it
+        for one in self._sockets.values():
+            self._epoll.register(one, _ARMED)
+
+    @classmethod
+    def of(cls, runtime: Runtime) -> HoldSockets:
+        """The sockets in the run-time folder, made in place of those that a loop before has left.
 
         Raises:
             OSError: one cannot be made.
         """
-        self._epoll = select.epoll()
-        self._sockets: dict[int, socket.socket] = {}
-        self._resting: deque[tuple[int, int]] = deque()  # when each may be read again, and its descriptor
-        self._unanswered: dict[int, tuple[socket.socket, bytes]] = {}  # by the time of the tick that has taken it
-        for path in runtime.directory.glob(f"{HOLD_SOCKETS}*"):
-            path.unlink()
         apart, own = _users(), os.geteuid()
-        self._open(runtime, own)
+        made = [_bound(runtime, own)]
         try:
             for uid in apart:
                 if uid != own:
-                    access_list.admit(self._open(runtime, uid), users={uid: READ_WRITE})
+                    made.append(_bound(runtime, uid))
+                    access_list.admit(runtime.place(socket_name(uid)), users={uid: READ_WRITE})
         except OSError:  # a file system without access lists: all others share a socket
             runtime.place(socket_name(uid)).unlink(missing_ok=True)
+            made.pop().close()
             apart = []
-        others = self._open(runtime, None)
+        made.append(_bound(runtime, None))
         if apart:
-            access_list.admit(others, users=dict.fromkeys(apart, 0), others=READ_WRITE)
-
-    def _open(self, runtime: Runtime, uid: int | None) -> pathlib.Path:
-        place = runtime.place(socket_name(uid))
-        one = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        one.setblocking(False)
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
-        with contextlib.suppress(OSError):
-            one.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, 0)
-        one.bind(str(place))
-        place.chmod(0o666 if uid is None else 0o600)
-        self._sockets[one.fileno()] = one
-        self._epoll.register(one, _ARMED)
-        return place
+            others = dict.fromkeys(apart, 0)
+            access_list.admit(runtime.place(socket_name(None)), users=others, others=READ_WRITE)
+        names = {socket_name(uid) for uid in (*apart, own, None)}
+        for path in runtime.directory.glob(f"{HOLD_SOCKETS}*"):
+            if path.name not in names:  # of users that are no more
+                path.unlink()
+        return cls(made)
 
     def take(self, t_ns: int) -> Hold | None:
         """See `HoldSource`."""
@@ -158,6 +157,25 @@ class HoldSockets:
         self._epoll.close()
         for one in self._sockets.values():
             one.close()
+
+
+def prepared(one: socket.socket) -> socket.socket:
+    """A socket with the options that it needs before anybody can send to it."""
+    one.setblocking(False)
+    one.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
+    with contextlib.suppress(OSError):
+        one.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, 0)
+    return one
+
+
+def _bound(runtime: Runtime, uid: int | None) -> socket.socket:
+    """A user's socket in the folder. The one before goes right before, so that its room is free for this one."""
+    place = runtime.place(socket_name(uid))
+    one = prepared(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+    place.unlink(missing_ok=True)
+    one.bind(str(place))
+    place.chmod(0o666 if uid is None else 0o600)
+    return one
 
 
 def _users() -> list[int]:

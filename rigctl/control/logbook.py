@@ -21,13 +21,15 @@ from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation, slot_values
 from rigctl.control.tension import TensionLaw
 from rigctl.control.trials import LoadBin
+from rigctl.ipc import ring
 from rigctl.ipc.hold_socket import NAME_BYTES
-from rigctl.ipc.record import RECORD, REPLY, Flag, Quality
+from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Flag, Quality, Slot
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64
+_OWN_SLOTS = 1024
 ZERO_C_K = 273.15
 _STALE = Quality.STALE.value
 _UNCONFIRMED = Flag.STROKE_UNCONFIRMED.value
@@ -54,6 +56,16 @@ class Rings:
             runtime.records.writer(), runtime.events.writer(), runtime.replies.writer(), runtime.frames.writer(),
             runtime.holds.writer(), runtime.situations.writer(), runtime.commands.reader(),
         )  # fmt: skip
+
+    @classmethod
+    def in_own_memory(cls) -> Rings:
+        """Rings that no other process reads or writes, for a loop that is run to warm it up."""
+
+        def out(slot: Slot) -> RingWriter:
+            return RingWriter(ring.in_own_memory(slot.dtype, _OWN_SLOTS), slot.layout)
+
+        commands = RingReader(ring.in_own_memory(COMMAND.dtype, _OWN_SLOTS), COMMAND.dtype)
+        return cls(out(RECORD), out(EVENT), out(REPLY), out(FRAME), out(HOLD), out(SITUATION), commands)
 
 
 class Logbook:

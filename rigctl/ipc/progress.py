@@ -41,8 +41,10 @@ class Progress:
             OSError: the file cannot be made.
         """
         place = folder.place(progress_file(name))
-        place.unlink(missing_ok=True)
-        self._file = os.open(place, whole_file.NEW, 0o640 if folder.is_shared else 0o600)
+        if not whole_file.over(place, _COUNT.pack(0)):  # the memory of the process before: other may not be free
+            place.unlink(missing_ok=True)
+            os.close(os.open(place, whole_file.NEW, 0o640 if folder.is_shared else 0o600))
+        self._file = os.open(place, os.O_WRONLY | os.O_NOFOLLOW | os.O_CLOEXEC)
         self._count = 0
         self._watchdog = Watchdog() if feeds else None
 

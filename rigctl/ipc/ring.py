@@ -62,6 +62,13 @@ def create(
     part.rename(path)
 
 
+def in_own_memory(dtype: np.dtype[Any], capacity: int) -> mmap.mmap:
+    """An empty ring in memory of this process alone, which needs no room of a memory-backed disk."""
+    memory = mmap.mmap(-1, _DATA_OFFSET + capacity * dtype.itemsize)
+    memory[: _HEADER.size] = _HEADER.pack(_MAGIC, dtype.itemsize, capacity, 0)
+    return memory
+
+
 def identity(path: pathlib.Path) -> tuple[int, bytes]:
     """The parts of a ring that never change: its inode, and its header without the head.
 
@@ -75,7 +82,10 @@ def identity(path: pathlib.Path) -> tuple[int, bytes]:
         os.close(fd)
 
 
-def _map(path: pathlib.Path, slot_size: int, *, writable: bool) -> tuple[mmap.mmap, int]:
+def _map(place: pathlib.Path | mmap.mmap, slot_size: int, *, writable: bool) -> tuple[mmap.mmap, int]:
+    if isinstance(place, mmap.mmap):
+        return place, int(_HEADER.unpack_from(place, 0)[2])
+    path = place
     fd = os.open(path, _FLAGS | (os.O_RDWR if writable else os.O_RDONLY))
     try:
         access = mmap.ACCESS_WRITE if writable else mmap.ACCESS_READ
@@ -95,11 +105,11 @@ def _map(path: pathlib.Path, slot_size: int, *, writable: bool) -> tuple[mmap.mm
 class RingWriter:
     """The one writer. ``write`` packs straight into shared memory: no allocation, no lock, no system call."""
 
-    def __init__(self, path: pathlib.Path, layout: struct.Struct) -> None:
-        """``layout``: the slot without its leading sequence number."""
+    def __init__(self, place: pathlib.Path | mmap.mmap, layout: struct.Struct) -> None:
+        """``place``: a file, or see `in_own_memory`. ``layout``: the slot without its leading sequence number."""
         self._pack_into = struct.Struct("<Q" + layout.format.removeprefix("<")).pack_into
         self._slot_size = layout.size + 8
-        self._memory, self._capacity = _map(path, self._slot_size, writable=True)
+        self._memory, self._capacity = _map(place, self._slot_size, writable=True)
         (self.head,) = _HEAD.unpack_from(self._memory, _HEAD_OFFSET)
         # One aligned store, because pack_into clears the bytes first and a reader would find a head of 0 in between.
         self._head_word = memoryview(self._memory)[_HEAD_OFFSET : _HEAD_OFFSET + _HEAD.size].cast("Q")
@@ -124,9 +134,12 @@ class RingWriter:
 class RingReader:
     """A reader with its own cursor; ``lost`` counts the slots overwritten before they were read."""
 
-    def __init__(self, path: pathlib.Path, dtype: np.dtype[Any], *, from_start: bool = False) -> None:
-        """``from_start``: begin with the oldest slot still held, else with the next one written."""
-        self._memory, self._capacity = _map(path, dtype.itemsize, writable=False)
+    def __init__(self, place: pathlib.Path | mmap.mmap, dtype: np.dtype[Any], *, from_start: bool = False) -> None:
+        """``place``: a file, or see `in_own_memory`.
+
+        ``from_start``: begin with the oldest slot still held, else with the next one written.
+        """
+        self._memory, self._capacity = _map(place, dtype.itemsize, writable=False)
         self._slots: npt.NDArray[Any] = np.ndarray((self._capacity,), dtype, self._memory, _DATA_OFFSET)
         self._head_word = memoryview(self._memory)[_HEAD_OFFSET : _HEAD_OFFSET + _HEAD.size].cast("Q")
         self._none = np.empty(0, dtype)

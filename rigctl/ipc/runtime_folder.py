@@ -76,7 +76,6 @@ _SHORTEST_FRAME_BITS = 47  # 11-bit identifier, no data, no stuffing, the gap to
 _FASTEST_BIT_S = 1_000_000
 _DESCRIPTORS = pathlib.Path("/proc/self/fd")
 _END = "end."
-_WARM_UP = "warm-up-"
 _FOLDER_FLAGS = os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC
 
 
@@ -310,8 +309,7 @@ class Runtime(FolderFiles):
             os.close(fd)
 
     def _clear(self, folder: int, name: str) -> None:
-        if not name.startswith(_WARM_UP):
-            self.cleared.append(f"{self.directory}/{name} was no file of the daemon, and has been removed")
+        self.cleared.append(f"{self.directory}/{name} was no file of the daemon, and has been removed")
         if stat.S_ISDIR(os.stat(name, dir_fd=folder, follow_symlinks=False).st_mode):
             shutil.rmtree(name, dir_fd=folder)
         else:
@@ -441,6 +439,7 @@ class Runtime(FolderFiles):
     def write_json(self, name: str, value: Any, mode: int | None = None) -> None:
         """Replace ``name`` at once, so that a reader sees the old file or the new one; a second line is its SHA-256.
 
+        Where others have taken all room, the old file is written over: a reader meanwhile finds a wrong SHA-256.
         ``mode``: of the file, else as of all files here.
 
         Raises:
@@ -449,18 +448,20 @@ class Runtime(FolderFiles):
         place = self.place(name)
         part = place.with_name(f".{name}.{threading.get_native_id()}")
         part.unlink(missing_ok=True)
+        encoded = msgspec.json.encode(value)
+        data = encoded + b"\n" + digest(encoded) + b"\n"
         try:
             fd = os.open(part, whole_file.NEW, 0o600)
             with open(fd, "wb") as file:  # noqa: PTH123 - a descriptor
                 os.fchmod(fd, self.file_mode if mode is None else mode)
-                data = msgspec.json.encode(value)
-                file.write(data + b"\n" + digest(data) + b"\n")
+                file.write(data)
             try:
                 part.rename(place)
             except IsADirectoryError:
                 shutil.rmtree(place)
                 part.rename(place)
-        except BaseException:
+        except BaseException as error:
             with contextlib.suppress(OSError):
                 part.unlink(missing_ok=True)
-            raise
+            if not isinstance(error, OSError) or error.errno != errno.ENOSPC or not whole_file.over(place, data):
+                raise

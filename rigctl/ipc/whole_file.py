@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pathlib
+import stat
 
 NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
 """Flags that make a file anew, in place of nothing that somebody else could have put there."""
@@ -34,6 +35,20 @@ def replace(path: pathlib.Path, data: bytes, *, mode: int, sync: bool = True) ->
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
         raise
+
+
+def over(path: pathlib.Path, data: bytes) -> bool:
+    """Write over a file in the memory that it has, the rest filled with line ends; False where that is too little."""
+    with contextlib.suppress(OSError):
+        fd = os.open(path, os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            found = os.fstat(fd)
+            if stat.S_ISREG(found.st_mode) and found.st_nlink == 1 and len(data) <= found.st_blocks * 512:
+                os.pwrite(fd, data.ljust(found.st_size, b"\n"), 0)
+                return True
+        finally:
+            os.close(fd)
+    return False
 
 
 def sync_folder(folder: pathlib.Path) -> None:

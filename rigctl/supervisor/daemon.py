@@ -336,9 +336,10 @@ class Supervisor:
         kept = last_stroke.shown_by(self.settings, newest)
         if kept.stroke.why:
             self._say(f"WARNING: the stroke last known: {kept.stroke.why}; it has to be confirmed")
+        if self._write_or_warn(last_stroke.IN_FORCE, kept, "; the stroke has to be confirmed, and the brake tested"):
+            return
         with contextlib.suppress(OSError):  # a loop that finds none has the stroke confirmed, and the brake tested
             self._runtime.place(last_stroke.IN_FORCE).unlink(missing_ok=True)
-        self._write_or_warn(last_stroke.IN_FORCE, kept, "; the stroke has to be confirmed, and the brake tested")
 
     def _keep_brake(self, newest: np.void | None) -> None:
         """Write a changed flag of the brake to the file, where no recorder does it."""
@@ -357,11 +358,14 @@ class Supervisor:
                 self._not_kept = why
                 self._say(f"WARNING: {why}; after the next start test it: rigctl arm on a tight rope")
 
-    def _write_or_warn(self, name: str, value: object, otherwise: str) -> None:
+    def _write_or_warn(self, name: str, value: object, otherwise: str) -> bool:
+        """Whether it is written."""
         try:
             self._runtime.write_json(name, value)
         except OSError as error:
             self._say(f"WARNING: {self._no_room(error)}{otherwise}")
+            return False
+        return True
 
     def _spawn(self, name: str) -> None:
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]

@@ -114,9 +114,16 @@ def name_of(file: pathlib.Path) -> str:
 
 @contextlib.contextmanager
 def process(*arguments: str, log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
-    """``python -m arguments``, its output in ``log``, ended with SIGTERM (and SIGKILL if that fails)."""
+    """``python -m arguments``, as `command`."""
+    with command([sys.executable, "-m", *arguments], log) as child:
+        yield child
+
+
+@contextlib.contextmanager
+def command(words: list[str], log: pathlib.Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A command, its output in ``log``, ended with SIGTERM (and SIGKILL if that fails)."""
     with log.open("ab") as out:
-        child = subprocess.Popen([sys.executable, "-m", *arguments], stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
+        child = subprocess.Popen(words, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT)
     try:
         yield child
     finally:

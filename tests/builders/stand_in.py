@@ -37,7 +37,7 @@ class StandIn:
         self.records, self.events = runtime.records.writer(), runtime.events.writer()
         self.situations = runtime.situations.writer()
         self.replies, self.commands = runtime.replies.writer(), runtime.commands.reader()
-        self.holds = HoldSockets(runtime)
+        self.holds = HoldSockets.of(runtime)
         self.mode, self.fault, self.target, self.tension, self.stroke = Mode.DISARMED, Fault.NONE, 300.0, 0.0, 0.0
         self.arming: tuple[int, int] | None = None
         self.own, self.host = 0, int(Check.HOST)

@@ -43,6 +43,25 @@ def test_scenario_without_memory(filled, hil_scenario):
 def test_after(hil_rig):
     assert hil_rig.run(0.1).mode == "DISARMED"
 """
+WARM_UP = """
+from rigctl.config import rig_file
+from rigctl.control.control_process import HoldSockets, warm_up
+from rigctl.design.margins import design_and_check
+from rigctl.devices.process_data import wanted
+
+answered, answer = [], HoldSockets.answer
+HoldSockets.answer = lambda self, *words: (answered.append(words), answer(self, *words))
+settings = rig_file.load("config/paper_rig.yaml")
+warm_up(settings, design_and_check(settings).gains, wanted(settings))
+print(len(answered))
+"""
+
+
+def test_a_loop_is_warmed_up_without_room_in_shared_memory() -> None:
+    """With its HOLD: of a tick's ways it is the one that needs a socket."""
+    command = with_small_memory("4k,nr_inodes=1", sys.executable, "-c", WARM_UP)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=patience_s(), check=False)
+    assert (done.stdout, done.stderr) == ("1\n", "")
 
 
 def test_a_test_without_memory_for_its_rig_fails_alone_with_one_line(pytester: pytest.Pytester) -> None:

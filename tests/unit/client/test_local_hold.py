@@ -51,7 +51,7 @@ def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runti
 @contextlib.contextmanager
 def loop(runtime: Runtime, answer: HoldAnswer | None) -> Iterator[list[str]]:
     """A loop that takes HOLD and gives an answer, or none; yields the operators."""
-    sockets, taken, over = HoldSockets(runtime), list[str](), threading.Event()
+    sockets, taken, over = HoldSockets.of(runtime), list[str](), threading.Event()
 
     def tick() -> None:
         t_ns = 0

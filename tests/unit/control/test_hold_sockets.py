@@ -74,7 +74,7 @@ class Ticks:
     """The sockets with a loop that takes and answers."""
 
     def __init__(self, runtime: Runtime) -> None:
-        self.runtime, self.sockets = runtime, HoldSockets(runtime)
+        self.runtime, self.sockets = runtime, HoldSockets.of(runtime)
         self.t_ns, self.taken = 0, list[Hold]()
 
     def tick(self) -> Hold | None:
@@ -271,7 +271,7 @@ def test_no_answer_goes_to_a_path_in_the_senders_file_system(rig: Ticks, tmp_pat
 
 
 def test_a_loop_that_was_killed_leaves_its_sockets_to_the_next(runtime: Runtime) -> None:
-    first = HoldSockets(runtime)
+    first = HoldSockets.of(runtime)
     second = Ticks(runtime)
     thread, found = given(second.place(OWN))
     while thread.is_alive():
@@ -306,7 +306,7 @@ def test_without_access_lists_the_users_share_a_socket(runtime: Runtime, monkeyp
         raise OSError(95, "Operation not supported")
 
     monkeypatch.setattr(os, "setxattr", refuse)
-    HoldSockets(runtime).close()
+    HoldSockets.of(runtime).close()
     names = {path.name for path in runtime.directory.glob("hold.*")}
     assert names == {socket_name(OWN), socket_name(None)}
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import pathlib
 import stat
+import subprocess
+import sys
 from collections.abc import Callable
 
 import pytest
@@ -12,6 +14,8 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.ipc.runtime_folder import AlreadyRunningError, FolderError, Runtime, daemons, is_free, recorded
 from tests.builders.paths import ROOT
+from tests.builders.small_memory import with_small_memory
+from tests.builders.waiting import patience_s
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 
@@ -164,3 +168,40 @@ def test_a_second_daemon_is_refused_and_takes_nothing_away(runtime: Runtime) -> 
     with pytest.raises(AlreadyRunningError, match=f"process {os.getpid()}"):
         Runtime(runtime.directory).claim()
     assert runtime.gateway_cursor.is_symlink()
+
+
+FULL = """
+import contextlib, errno, pathlib
+from rigctl.ipc.progress import Progress, progress_of
+from rigctl.ipc.runtime_folder import Runtime
+
+runtime = Runtime(pathlib.Path("/dev/shm/rigctl-rig"))
+runtime.claim()
+runtime.write_json("some.json", {"text": "a" * 100})
+Progress(runtime, "some").step()
+with open("/dev/shm/of_another", "wb", buffering=0) as file, contextlib.suppress(OSError):
+    while True:
+        file.write(bytes(4096))
+for value in ({"text": "b"}, {"text": "c" * 200}):
+    runtime.write_json("some.json", value)
+    assert runtime.read_json("some.json") == value
+for name, value in (("some.json", {"text": "d" * 5000}), ("other.json", {})):
+    try:
+        runtime.write_json(name, value)
+    except OSError as error:
+        assert error.errno == errno.ENOSPC
+    else:
+        raise AssertionError(name)
+assert runtime.read_json("some.json") == {"text": "c" * 200}
+assert sorted(one.name for one in runtime.directory.iterdir()) == ["lock", "some.json", "some.progress"]
+progress = Progress(runtime, "some")
+assert progress_of(runtime, "some") == 0
+progress.step()
+assert progress_of(runtime, "some") == 1
+"""
+
+
+def test_a_file_is_written_over_in_memory_that_others_have_filled() -> None:
+    command = with_small_memory("256k", sys.executable, "-c", FULL)
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=patience_s(), check=False)
+    assert (done.returncode, done.stderr) == (0, "")
