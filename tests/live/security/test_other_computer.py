@@ -62,7 +62,7 @@ def test_no_command_is_taken_from_there(open_daemon: Daemon, elsewhere: tuple[st
         ):
             answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body}).encode())
             assert (answer["good"], answer["text"]) == (False, "")
-        assert "by nobody known (no certificate, tcp/" in Refused(own).line("query of rigctl/paper_rig/cmd/")
+        assert "by an unknown client (no certificate, tcp/" in Refused(own).line("query of rigctl/paper_rig/cmd/")
         assert own.state(anna)["lease"]["holder"] == ANNA
         assert own.state(anna)["mode"] in ("TENSIONING", "COMPENSATING")
 

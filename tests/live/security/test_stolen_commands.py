@@ -69,7 +69,7 @@ def test_a_command_by_tcp_is_refused_and_put_on_record(own: Daemon, verb: str, b
             answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body, **shown}).encode())
             assert (answer["good"], answer["text"]) == (False, "")
         line = refused.line(f"query of rigctl/paper_rig/cmd/{verb}")
-        assert "by nobody known (no certificate, tcp/127.0.0.1:" in line
+        assert "by an unknown client (no certificate, tcp/127.0.0.1:" in line
         assert line.endswith(") refused: not allowed")
         assert commands(own) == given
         assert own.state(anna)["lease"]["holder"] == ANNA
