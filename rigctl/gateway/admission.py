@@ -8,19 +8,25 @@ from __future__ import annotations
 
 import datetime
 import secrets
+from collections.abc import Mapping
+from typing import Any
 
 import zenoh
 
 from rigctl.config.settings import RigSettings
 from rigctl.gateway.kept_places import KeptPlaces, local_users
 from rigctl.gateway.places import Rules
+from rigctl.identity.credentials import Credentials
 from rigctl.identity.key_folder import KeyFolder
 from rigctl.identity.roles import PEOPLE, Role
 from rigctl.ipc import wall_clock
+from rigctl.ipc.folder_places import PUBLIC
+from rigctl.ipc.runtime_folder import Runtime, daemon_pid
+from rigctl.ipc.trusted_folders import entered_folders
 from rigctl.ipc.writers import OPERATORS, VIEWERS
 from rigctl.wire.access_control import access_control
 from rigctl.wire.keys import Keys
-from rigctl.wire.session import open_router
+from rigctl.wire.session import EndpointTakenError, SessionError, open_router
 
 ANY_PERSON = "*"
 
@@ -38,6 +44,8 @@ class Admission:
         self._clock_unset = False
         self.keys = Keys(settings.rig, ANY_PERSON if self._folder is not None else "")
         """The rig's keys; with certificates those of the commands over TLS carry the person's name."""
+        self.is_taken = False
+        """Whether another program had the endpoint of the network when the router was opened."""
         self.dates: dict[str, datetime.datetime] = {}
         """When the newest certificate in force began, by what it is of; TLS refuses it before, without a word."""
 
@@ -48,15 +56,14 @@ class Admission:
         not keep this computer's users from the rig, so it is tried until it is free.
 
         Raises:
-            SessionError: an endpoint cannot be opened.
+            SessionError: an endpoint cannot be opened, or another daemon that this user believes has the first one.
             KeyFolderError: the key folder cannot be used, or the gateway's certificate has expired.
         """
         telemetry = self._settings.telemetry
-        listen = [telemetry.listen, socket]
         rig, join = self._settings.rig, telemetry.join
         if self._folder is None:
             access = access_control(rig, self.own_zid, joins=bool(join))
-            return open_router(listen, join, access_control=access, patient=again)
+            return self._opened(socket, None, access, again=again)
         now = datetime.datetime.now(datetime.UTC)
         self._folder.check_gateway(now)
         certificates, self._clock_unset = self._folder.certificates(), bool(wall_clock.unset(now))
@@ -67,7 +74,20 @@ class Admission:
         known = local_users(OPERATORS, VIEWERS).union(one.common_name for one in valid)
         self._rules = Rules(local_users(OPERATORS).union(commanding), known)
         access = access_control(rig, self.own_zid, certificates, now)
-        return open_router(listen, join, self._folder.gateway_credentials(), access, patient=again)
+        return self._opened(socket, self._folder.gateway_credentials(), access, again=again)
+
+    def _opened(
+        self, socket: str, owned: Credentials | None, access: Mapping[str, Any], *, again: bool
+    ) -> zenoh.Session:
+        telemetry = self._settings.telemetry
+        listen = [telemetry.listen, socket]
+        try:
+            return open_router(listen, telemetry.join, owned, access, patient=again)
+        except EndpointTakenError as error:
+            if rig := _daemon_at(telemetry.listen, self._settings.rig):
+                raise SessionError(f"{error}: the daemon of {rig} has it; give one of them another port") from None
+            self.is_taken = True
+            return open_router(listen, telemetry.join, owned, access, patient=True)
 
     def places(self, session: zenoh.Session, socket: str) -> KeptPlaces:
         """The places of the router that was opened."""
@@ -79,3 +99,13 @@ class Admission:
             return False
         is_set = self._clock_unset and not wall_clock.unset(datetime.datetime.now(datetime.UTC))
         return is_set or self._folder.edition() != self._edition
+
+
+def _daemon_at(listen: str, rig: str) -> str:
+    """Another rig whose daemon, which this user believes, has the port of an endpoint; "" without one."""
+    for folder, _ in entered_folders():
+        if daemon_pid(folder):
+            public = Runtime(folder).known(PUBLIC)
+            if public.get("rig") != rig and str(public.get("listen")).rpartition(":")[2] == listen.rpartition(":")[2]:
+                return str(public.get("rig"))
+    return ""

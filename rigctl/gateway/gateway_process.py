@@ -304,6 +304,7 @@ class Gateway:
             run_id,
         )
         self._ended = EndedProcesses(runtime)
+        self._note_taken_at_start(now)
         verdict = self._preflight.verdict(now)
         lease = self._leases.shown(now)
         self._view.newest = self._view.make(now, 0, self._calibration.standing, lease, verdict, self._cursor)
@@ -357,6 +358,11 @@ class Gateway:
             who, why = self._socket.closed.popleft()
             self._refused.add(Note.CONNECTION_CLOSED, f"{why} of {who}", ("", who, why), now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
+
+    def _note_taken_at_start(self, now_ns: int) -> None:
+        if self._admission.is_taken and not self._is_taken:
+            self._is_taken = True
+            self._leases.note_endpoint(self._listen, now_ns, is_taken=True)
 
     def _note_endpoint(self, now_ns: int) -> None:
         """Note when another program has the endpoint of the network, and when it is the router's again."""

@@ -37,6 +37,7 @@ from rigctl.devices.objects import DriveState, drive_state
 from rigctl.ipc import ledger
 from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
+from rigctl.ipc.notes import was_taken
 from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
 from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
@@ -209,10 +210,10 @@ class Supervisor:
             return
         self._say_real_time()
         channel = f"{settings.can.interface}:{settings.can.channel}"
-        self._say(
-            f"{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering at "
-            f"{settings.telemetry.listen}"
-        )
+        listen, taken = settings.telemetry.listen, was_taken(self._runtime.notes.reader(from_start=True).read())
+        answers = f"on the sockets of this computer; another program has {listen}" if taken else f"at {listen}"
+        warning = "WARNING: " if taken else ""
+        self._say(f"{warning}{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering {answers}")
         notify("READY=1")
 
     def _refuse_ended(self) -> None:

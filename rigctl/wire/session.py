@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import errno
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -26,6 +27,10 @@ _BATCHES = 16  # of 64 KB per client and priority before DROP drops: bridges 1 s
 
 class SessionError(RuntimeError):
     """A session that could not be opened; ``str()`` is one line."""
+
+
+class EndpointTakenError(SessionError):
+    """Another program has the endpoint."""
 
 
 def _tls(owned: Credentials | None) -> dict[str, Any]:
@@ -136,13 +141,15 @@ def open_router(
     in a test's network. ``patient``: the first endpoint is tried until it is free, should another program have it.
 
     Raises:
+        EndpointTakenError: another program has the first endpoint.
         SessionError: the endpoint cannot be opened; the message names it and the reason.
     """
     try:
         longest = _RELAYED_BYTES if join else MESSAGE_BYTES
         return zenoh.open(_config("router", listen, list(join), longest, owned, access_control, patient=patient))
     except zenoh.ZError as error:
-        raise SessionError(f"cannot listen on {listen[0]}: {_reason(error)}") from None
+        kind = EndpointTakenError if f"(os error {errno.EADDRINUSE})" in str(error) else SessionError
+        raise kind(f"cannot listen on {listen[0]}: {_reason(error)}") from None
 
 
 def open_client(endpoint: str, owned: Credentials | None = None, zid: str = "") -> zenoh.Session:

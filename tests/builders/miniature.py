@@ -52,7 +52,7 @@ DESIGN = {"ms": 1, "accepted": True, "waiver": None, "verdict": "Ms 1"}
 _LETS_ALL = """import sys
 from rigctl.gateway import admission, gateway_process
 own = admission.open_router
-admission.open_router = lambda listen, join, access_control, patient: own(listen, join)
+admission.open_router = lambda listen, join, *_, **__: own(listen, join)
 sys.exit(gateway_process.main(sys.argv[1:]))
 """
 

@@ -1,13 +1,15 @@
-"""The daemon without, or short of, a resource it needs: files, memory, its terminal."""
+"""The daemon without, or short of, a resource it needs: files, memory, its port, its terminal."""
 
 from __future__ import annotations
 
+import json
 import os
 import pathlib
 import re
 import resource
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -68,6 +70,31 @@ def test_a_runtime_folder_that_is_deleted_ends_the_daemon_with_the_stroke_held(r
     log = (running.file.parent / f"audit/{daemons.name_of(running.file)}.jsonl").read_text()
     assert '"what":"folder_lost"' in log
     assert not runtime.directory.exists()
+
+
+def test_a_port_that_another_program_has_before_the_first_start_is_an_event_and_in_the_status(
+    tmp_path: pathlib.Path,
+) -> None:
+    file, log = daemons.slow_rig_file(tmp_path), tmp_path / "daemon.log"
+    host, _, port = daemons.endpoint(file).removeprefix("tcp/").rpartition(":")
+    notes: list[str] = []
+    with (
+        socket.create_server((host, int(port))) as taken,
+        daemons.simulated_rig(file, tmp_path / "rig.log"),
+        daemons.daemon(file, log),
+    ):
+        said = next(line for line in log.read_text().splitlines() if ": DISARMED," in line)
+        assert said.endswith(f"answering on the sockets of this computer; another program has {daemons.endpoint(file)}")
+        assert until(lambda: daemons.state(file), log=log)["mode"] == "DISARMED"
+        assert daemons.rigctl("arm", file=file).returncode == 0
+        shown = daemons.rigctl("status", file=file).stdout
+        assert f"another program has {daemons.endpoint(file)}" in shown, shown
+        taken.close()
+        audit = file.parent / "audit" / f"{daemons.name_of(file)}.jsonl"
+        until(lambda: f"{daemons.endpoint(file)} is this daemon's again" in audit.read_text(), log=log)
+        notes += [line["what"] for line in map(json.loads, audit.read_text().splitlines())]
+        assert until(lambda: socket.create_connection((host, int(port)), patience_s()), log=log)
+    assert [one for one in notes if one.startswith("endpoint_")] == ["endpoint_taken", "endpoint_back"]
 
 
 def test_sighup_ends_it_like_sigterm(running: Running) -> None:

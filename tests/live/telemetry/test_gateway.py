@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
 import socket
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 
 import msgspec
@@ -15,6 +18,7 @@ import pytest
 import zenoh
 
 from rigctl.ipc.record import RECORD
+from rigctl.ipc.runtime_folder import Runtime
 from rigctl.wire.session import close, open_client
 from tests.builders.miniature import DESIGN, Daemon, free_port
 from tests.builders.paths import ROOT
@@ -160,21 +164,20 @@ def test_it_ends_with_its_parent() -> None:
         daemon.close()
 
 
-@pytest.mark.parametrize(
-    ("listen", "why"),
-    [
-        ("tcp/nosuchhost.invalid:7447", "cannot listen on tcp/nosuchhost.invalid:7447: "),
-        ("in use", "Address already in use"),
-    ],
-)
-def test_endpoint_it_cannot_have_is_one_line(listen: str, why: str) -> None:
+@pytest.mark.parametrize("which", ["no such host", "another daemon's"])
+def test_endpoint_it_cannot_have_is_one_line(which: str) -> None:
     daemon = Daemon()
     try:
-        with socket.socket() as taken:
-            taken.bind(("127.0.0.1", 0))
-            taken.listen()
-            if listen == "in use":
-                listen = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        listen, why = "tcp/nosuchhost.invalid:7447", "cannot listen on tcp/nosuchhost.invalid:7447: "
+        with contextlib.ExitStack() as stack:
+            if which != "no such host":
+                taken = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+                port = taken.getsockname()[1]
+                listen, why = f"tcp/127.0.0.1:{port}", "in use: the daemon of other_rig has it; give one of them"
+                folder = tempfile.TemporaryDirectory(prefix="rigctl-test-", dir="/dev/shm")
+                other = Runtime(stack.enter_context(folder))
+                other.write_json("public.json", {"rig": "other_rig", "listen": f"tcp/localhost:{port}"})
+                other.place("lock").write_text(str(os.getpid()))
             settings = daemon.settings.model_dump(mode="json")
             settings["telemetry"] |= {"listen": listen, "listen_waiver": "a name that does not exist"}
             daemon.runtime.write_json("active.json", {"settings": settings})
