@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import os
 import socket
 import time
+from collections.abc import Iterator
 from typing import Any
 
 from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
@@ -44,21 +44,41 @@ def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER
 def _given(daemon: LocalDaemon, operator: str, answer_s: float) -> dict[str, Any]:
     until, answer = time.monotonic() + answer_s, None
     is_own = daemon.place.is_shared or daemon.owner == os.geteuid()
-    for uid in (os.geteuid(), None):
-        with contextlib.suppress(OSError):  # this user has no socket of his own, or the loop is just being replaced
-            place, left_s = daemon.place.place(hold_socket.socket_name(uid)), max(0.0, until - time.monotonic())
+    full = ""
+    for uid in _own_numbers():
+        place, left_s = daemon.place.place(hold_socket.socket_name(uid)), max(0.0, until - time.monotonic())
+        try:
             given = hold_socket.give(place, operator, left_s, daemon.owner)
-            answer = _silent(daemon, _full(operator)) if given is None else _worded(given, _full(operator))
-            break
+        except OSError as error:  # this user has no socket of his own, or the loop is just being replaced
+            if uid is None and not isinstance(error, PermissionError):
+                break
+            continue
+        full = _full(operator, uid)
+        answer = _silent(daemon, full) if given is None else _worded(given, full)
+        break
+    full = full or _full(operator)
     if answer is None and is_own:
-        answer = _former(daemon.place, _full(operator), max(0.0, until - time.monotonic()))
-    answer = answer or _silent(daemon, _full(operator))
+        answer = _former(daemon.place, full, max(0.0, until - time.monotonic()))
+    answer = answer or _silent(daemon, full)
     return answer if is_own else answer | {"text": f"{answer['text']} (the daemon is of {user_name(daemon.owner)})"}
 
 
-def _full(operator: str) -> str:
+def _own_numbers() -> Iterator[int | None]:
+    """The users whose socket may be this one's, None for that of the others.
+
+    In a user namespace (``unshare -Ur``) a process finds another number than the kernel gives the loop. Which socket it
+    may open, the kernel decides by its own; at most one of them is his.
+    """
+    yield from (os.geteuid(), None)
+    import pwd  # a directory of very many users is asked last, and only there
+
+    for entry in pwd.getpwall():
+        yield entry.pw_uid
+
+
+def _full(operator: str, uid: int | None = None) -> str:
     """The operator's name with this user's, which is looked up only after HOLD has been given."""
-    return with_user(operator, user_name(os.geteuid()))
+    return with_user(operator, user_name(os.geteuid() if uid is None else uid))
 
 
 def _silent(daemon: LocalDaemon, operator: str) -> dict[str, Any]:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import pathlib
+import pwd
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
@@ -16,13 +20,14 @@ from rigctl.client import local_hold
 from rigctl.client.local_daemons import local_daemons, same_endpoint
 from rigctl.config import layout
 from rigctl.control.faults import Fault
-from rigctl.control.hold_sockets import HoldSockets
+from rigctl.control.hold_sockets import Hold, HoldSockets
 from rigctl.control.modes import Refusal
 from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, Runtime
 from tests.builders.operators import KIM
+from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
 ENDPOINT = "tcp/127.0.0.1:7447"
@@ -49,16 +54,16 @@ def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runti
 
 
 @contextlib.contextmanager
-def loop(runtime: Runtime, answer: HoldAnswer | None) -> Iterator[list[str]]:
-    """A loop that takes HOLD and gives an answer, or none; yields the operators."""
-    sockets, taken, over = HoldSockets.of(runtime), list[str](), threading.Event()
+def loop(runtime: Runtime, answer: HoldAnswer | None) -> Iterator[list[Hold]]:
+    """A loop that takes HOLD and gives an answer, or none; yields what it took."""
+    sockets, taken, over = HoldSockets.of(runtime), list[Hold](), threading.Event()
 
     def tick() -> None:
         t_ns = 0
         while not over.wait(0.001):
             t_ns += 1_000_000
             if (hold := sockets.take(t_ns)) is not None:
-                taken.append(hold.operator)
+                taken.append(hold)
                 if answer is not None:
                     sockets.answer(t_ns, answer)
 
@@ -100,7 +105,7 @@ def former_service(runtime: Runtime) -> Iterator[list[str]]:
 def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
     with loop(runtime, HoldAnswer(88, True, 0, 0, 0, 52.3, 300.04, "HOLD")) as taken:
         answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
-    assert taken == ["kim"]
+    assert [hold.operator for hold in taken] == ["kim"]
     assert answer == {
         "accepted": True, "verb": "hold", "operator": KIM, "mode": "HOLD", "t_ns": 88, "value": 300.04,
         "text": "HOLD: stroke held at 52.30 mm, tension 300.0 N", "via": "local socket",
@@ -125,7 +130,7 @@ def test_a_loop_that_does_not_answer_is_no_other_ways_matter(runtime: Runtime) -
     with loop(runtime, None) as taken:
         assert silent()
         until(lambda: taken)
-    assert taken == ["kim"]
+    assert [hold.operator for hold in taken] == ["kim"]
     assert silent()  # it has ended
 
 
@@ -195,10 +200,56 @@ def test_of_other_users_daemons_every_one_that_is_meant_gets_the_hold_and_is_nam
     assert not found["accepted"]
     assert found["text"].startswith("HOLD: the loop of paper_rig does not answer")
     assert found["text"].endswith("(the daemon is of nobody)")
-    assert taken == stolen == ["kim"]
+    assert [hold.operator for hold in (*taken, *stolen)] == ["kim"] * 2
 
 
 @pytest.mark.parametrize("active", [b"", b"[" * 100_000, b"7", b'{"settings": 7}', b'{"settings": {"telemetry": []}}'])
 def test_a_folder_that_cannot_be_read_is_nobodys(runtime: Runtime, active: bytes) -> None:
     (runtime.directory / ACTIVE).write_bytes(active)
     assert local_hold.held_here(ENDPOINT, None) == []
+
+
+IN_NAMESPACES = """
+import ctypes, json, os, pathlib, pwd, sys
+from rigctl.client import local_hold
+from rigctl.config import layout
+layout.SHARED_MEMORY, uid = pathlib.Path(sys.argv[1]), int(sys.argv[2])
+libc = ctypes.CDLL(None, use_errno=True)
+os.setgroups([])
+os.setgid(uid)
+os.setuid(uid)
+libc.prctl(4, 1, 0, 0, 0)  # PR_SET_DUMPABLE: /proc/self is this user's again
+for outer in [uid, 0][: int(sys.argv[3])]:
+    if libc.unshare(0x10000000):  # CLONE_NEWUSER
+        sys.exit(f"no user namespace here: {os.strerror(ctypes.get_errno())}")
+    for name, text in (("setgroups", "deny"), ("uid_map", f"0 {outer} 1"), ("gid_map", f"0 {outer} 1")):
+        pathlib.Path(f"/proc/self/{name}").write_text(text)
+    assert os.geteuid() == 0
+print(json.dumps(local_hold.hold("tcp/127.0.0.1:7447", None, "kim", float(sys.argv[4]))))
+"""
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to be another user")
+@pytest.mark.parametrize("depth", [0, 1, 2])
+def test_in_a_user_namespace_hold_goes_to_the_socket_of_the_kernels_user(
+    monkeypatch: pytest.MonkeyPatch, depth: int
+) -> None:
+    """``unshare -Ur rigctl hold``, also in one of its own: the process is user 0 there, and nobody for the loop."""
+    base = layout.SHARED_MEMORY / f"rigctl-test-namespace-{os.getpid()}"
+    base.mkdir(mode=0o755)
+    monkeypatch.setattr(folders, "BASE", base)
+    found, uid = Runtime.of("paper_rig"), pwd.getpwnam("nobody").pw_uid
+    found.claim()
+    found.write_json(PUBLIC, {"rig": "paper_rig", "listen": ENDPOINT}, PUBLIC_MODE)
+    try:
+        with loop(found, HoldAnswer(88, True, 0, 0, 0, 52.3, 300.04, "HOLD")) as taken:
+            words = [sys.executable, "-c", IN_NAMESPACES, str(base), str(uid), str(depth), str(patience_s())]
+            done = subprocess.run(words, capture_output=True, text=True, cwd=ROOT, check=False)
+    finally:
+        found.remove()
+        base.rmdir()
+    if "no user namespace here" in done.stderr:
+        pytest.skip(done.stderr.strip())
+    answer = json.loads(done.stdout)
+    assert (answer["accepted"], answer["operator"]) == (True, "kim (nobody)"), answer
+    assert [(hold.operator, hold.uid) for hold in taken] == [("kim", uid)]
