@@ -48,6 +48,7 @@ from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
 from rigctl.supervisor import memory
 from rigctl.supervisor.event_lines import EventLines
+from rigctl.supervisor.left_processes import StillRunsError, end_left
 from rigctl.supervisor.service_process import ServiceProcess
 
 POLL_S = 0.02  # delay until a signal or a lost folder ends the daemon; a ramp goes on meanwhile, 0.2 mm at 10 mm/s
@@ -133,10 +134,15 @@ class Supervisor:
             lock = self._runtime.claim()
         except (AlreadyRunningError, FolderError) as error:
             raise CannotRunError(f"{self.settings.rig}: {error}") from None
+        try:
+            left = end_left(self._runtime, PROCESSES | PAGE)
+        except StillRunsError as error:  # which goes on with the folder
+            os.close(lock)
+            raise CannotRunError(f"{self.settings.rig}: {error}") from None
         on_signals(self._on_signal, *ENDING)
         memory.apply(memory.SUPERVISOR, os.getpid())
         try:
-            for found in self._runtime.cleared:
+            for found in (*self._runtime.cleared, *left):
                 self._say(f"WARNING: {found}")
             records, events = self._make_rings()
             self._start(records)

@@ -22,6 +22,7 @@ EXCEPTIONS: dict[str, int] = {
     "unit/hil/test_study_runner.py": 1,  # the length of a piece of work
     "unit/ipc/test_termination.py": 1,
     "unit/soak/test_soak_judge.py": 1,  # a pause that is made
+    "unit/supervisor/test_left_processes.py": 1,  # the period of a loop's stand-in
     "unit/test_host_pause.py": 2,  # the same
     "builders/another_version.py": 1,  # the period of a stand-in
     "builders/crowd.py": 1,

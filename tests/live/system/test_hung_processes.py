@@ -121,6 +121,27 @@ def test_a_loop_that_hangs_is_replaced_and_comes_back_disarmed(rig: Hanging) -> 
     assert rig.audited("process_stalled", "control")
 
 
+def test_what_hangs_when_the_supervisor_is_killed_is_ended_by_the_next_start(tmp_path: pathlib.Path) -> None:
+    """The gateway had kept the port; the recorder, woken later, had written to the new run's audit log."""
+    file, log = daemons.slow_rig_file(tmp_path), tmp_path / "daemon.log"
+    with daemons.simulated_rig(file, tmp_path / "rig.log"), daemons.daemon(file, tmp_path / "before.log") as before:
+        rig = Hanging(file, before.pid)
+        with rig.stopped("gateway", "recorder", "control") as hung:
+            before.kill()
+            before.wait()
+            with daemons.daemon(file, log):
+                for name, pid in zip(("gateway", "recorder", "control"), hung, strict=True):
+                    line = f"WARNING: the {name} of an earlier run (process {pid}) hung, and was killed"
+                    assert log.read_text().count(line) == 1, log.read_text()
+                    assert pid not in daemons.processes_with(MODULES[name])
+                assert until(lambda: daemons.state(file))["mode"] == "DISARMED"
+                assert f"answering at {daemons.endpoint(file)}" in log.read_text()
+    audit = tmp_path / "audit" / f"{daemons.name_of(file)}.jsonl"
+    kinds = [json.loads(line)["what"] for line in audit.read_text().splitlines()]
+    assert kinds.count("daemon_started") == 2
+    assert "tampered" not in kinds
+
+
 def test_no_process_waits_for_a_reader_of_the_daemons_output(tmp_path: pathlib.Path) -> None:
     """A full pipe from the start: the daemon comes up, replaces, records, and ends on SIGTERM."""
     file = daemons.rig_file(tmp_path, PATIENT)
