@@ -198,6 +198,10 @@ class CommandServer:
         """Have noted that recorder or gateway has ended unwanted, or is back."""
         self._work.put(lambda: self._leases.note_process(note))
 
+    def note_log_changed(self, how: str) -> None:
+        """Have noted that the audit log was changed while the daemon ran."""
+        self._work.put(lambda: self._leases.note_log_changed(how, time.monotonic_ns()))
+
     def _note_refused(self) -> None:
         self._leases.note_refused(self._rate.report(), time.monotonic_ns())
 

@@ -54,7 +54,7 @@ from rigctl.ipc import heap, ledger, standard_output, wall_clock
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.notes import Note, RequestLog, was_taken
+from rigctl.ipc.notes import Note, RequestLog, changes_noted, was_taken
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtime
@@ -103,6 +103,8 @@ class StateView:
         self.standing: Mapping[Fault, str] = {}
         """Causes of a fault that stand now, in words, the strongest first."""
         self.check_details = CheckDetails(runtime.events.reader(from_start=True))
+        self.log_changes = 0, ""
+        """How often the audit log was changed in this run, and how the last time."""
         self._warnings: list[str] = []
         self._stalled = StalledProcesses(runtime)
         self._design: str | None = None
@@ -131,6 +133,9 @@ class StateView:
             self._read_ns = now_ns + _READ_NS
             self._design, of_design = design_of(self._active.written)
             self._recorder.read()
+            recorded = self._recorder.value
+            if recorded.get("run") == self._active.written.get("started_wall_ns", 0):
+                self.log_changes = recorded.get("changes", 0), recorded.get("changed", "")
             self._kept, of_recorder = recorder_of(self._recorder.value, now_ns)
             now = datetime.now(UTC)
             doubt = ledger.clock_doubt(self._settings, self._active.written.get("design"), now, standing)
@@ -290,6 +295,10 @@ class Gateway:
         self._margins = MarginService(runtime, settings, calibration.excited, calibration.record)
         self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
         self._read_ns, self._outdated = 0, False
+        self._changes, self._ended = (
+            changes_noted(runtime.notes.reader(from_start=True).read()),
+            EndedProcesses(runtime),
+        )
         self._host_checks_ns = now  # earliest time at which the host checks are sent to the loop again
         self._leases = LeaseService(runtime, settings.telemetry.lease_s, now)
         self._commands = CommandServer(
@@ -303,7 +312,6 @@ class Gateway:
             self._preflight,
             run_id,
         )
-        self._ended = EndedProcesses(runtime)
         self._note_taken_at_start(now)
         verdict = self._preflight.verdict(now)
         lease = self._leases.shown(now)
@@ -335,6 +343,7 @@ class Gateway:
         self._send_host_checks(verdict, now)
         self._commands.check_lease_and_rate(now)
         self._note_refused_access(now)
+        self._note_log_changes()
         if now >= self._read_ns:
             self._read_ns = now + _READ_NS
             self._publish_active()
@@ -358,6 +367,13 @@ class Gateway:
             who, why = self._socket.closed.popleft()
             self._refused.add(Note.CONNECTION_CLOSED, f"{why} of {who}", ("", who, why), now_ns)
         self._commands.note_refused_access(self._refused.due(now_ns))
+
+    def _note_log_changes(self) -> None:
+        """Note once what the recorder has found of the audit log."""
+        count, how = self._view.log_changes
+        if count > self._changes:
+            self._changes = count
+            self._commands.note_log_changed(how)
 
     def _note_taken_at_start(self, now_ns: int) -> None:
         if self._admission.is_taken and not self._is_taken:

@@ -117,6 +117,10 @@ class LeaseService:
         """Note that recorder or gateway has ended unwanted, or is back."""
         self._note(note.t_ns, note.kind, other=note.process, reason=note.reason)
 
+    def note_log_changed(self, how: str, now_ns: int) -> None:
+        """Note that the audit log was changed while the daemon ran."""
+        self._note(now_ns, Note.AUDIT_LOG_CHANGED, reason=how)
+
     def note_alarm(self, request: AlarmRequest, now_ns: int) -> dict[str, Any]:
         """Note what an operator decides about an alarm, which takes no lease; returns the answer."""
         reason = f"{request.for_s} s: {request.reason}" if request.act is AlarmAct.SHELVE else ""

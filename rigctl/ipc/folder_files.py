@@ -76,6 +76,8 @@ class _RecorderFile(msgspec.Struct):
     trip_dump: str | None = None
     recording: _RecordingFile | None = None
     failures: _Count = 0
+    changes: _Count = 0
+    changed: str = ""
     warnings: list[str] = []
     t_ns: _Count = 0
 

@@ -33,6 +33,7 @@ class Note(IntEnum):
     ENDPOINT_BACK = 71  # other: the endpoint
     PROCESS_LOST = 72  # other: the process, which has ended unwanted; reason: how, and when it restarts
     PROCESS_BACK = 73  # other: the process; reason: of the gateway's own, why it ends in order after this note
+    AUDIT_LOG_CHANGED = 74  # reason: how, as the recorder has found it
 
 
 _WORDS = {
@@ -48,6 +49,10 @@ _WORDS = {
         "warning",
         "another program has {other}: who connects there gets nothing of this rig; it is tried until it is free. "
         "The sockets of this computer work",
+    ),
+    Note.AUDIT_LOG_CHANGED: (
+        "warning",
+        "the audit log {reason} while the daemon ran; it goes on in a file of its name, with an entry of what is gone",
     ),
     Note.ENDPOINT_BACK: ("info", "{other} is this daemon's again"),
     Note.PROCESS_LOST: ("warning", "{other} process {reason}"),
@@ -89,6 +94,11 @@ def was_taken(notes: np.ndarray) -> bool:
     """Whether another program had the endpoint of the network at the last of these notes about it."""
     kinds = [int(note["kind"]) for note in notes if note["kind"] in (Note.ENDPOINT_TAKEN, Note.ENDPOINT_BACK)]
     return kinds[-1:] == [Note.ENDPOINT_TAKEN]
+
+
+def changes_noted(notes: np.ndarray) -> int:
+    """How often these notes say that the audit log was changed."""
+    return int(np.count_nonzero(notes["kind"] == Note.AUDIT_LOG_CHANGED))
 
 
 def note_message(note: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:

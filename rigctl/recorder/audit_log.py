@@ -1,7 +1,7 @@
 """The audit log's file, which only grows. A line left incomplete by a crash or a full disk is cut off and reported.
 
-One recorder writes it and checks it again before each write: if it was removed, replaced or cut short while the daemon
-ran, an entry says so.
+One recorder writes it and checks it again before each write, and at intervals: if it was removed, replaced or cut short
+while the daemon ran, an entry says so.
 """
 
 from __future__ import annotations
@@ -56,6 +56,8 @@ class AuditLog:
         self._size = self._inode = 0
         self.entries, self.head = 0, ORIGIN
         self.read: dict[str, int] = {}  # of the last line
+        self.changes: list[str] = []
+        """How others have changed the log while this one was open, in words."""
         self._found: list[tuple[str, str, dict[str, Any]]] = []  # findings to be written before anything else
 
     @property
@@ -70,18 +72,19 @@ class AuditLog:
             AuditError: it belongs to another rig, or its last line is not an entry.
             OSError: it cannot be read or written.
         """
+        how = self.changed()
         self.close()
         self.path.parent.mkdir(parents=True, exist_ok=True)
         # A link is not followed: as root it could lead to any file.
         fd = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC, 0o640)
         try:
-            self._take_up(fd)
+            self._take_up(fd, how)
         except BaseException:
             os.close(fd)
             raise
         self._fd = fd
 
-    def _take_up(self, fd: int) -> None:
+    def _take_up(self, fd: int, how: str) -> None:
         status = os.fstat(fd)
         found, own, whole, torn = last_line(fd, self.path, self._rig)
         if torn:
@@ -91,7 +94,8 @@ class AuditLog:
         known, has = self.entries, found.n if found else 0
         if (known and own != self.head) or has < self._at_least:
             details = {"entries": max(known, self._at_least), "head": self.head, "found": has, "found_head": own}
-            self._found.append(("tampered", "the log was changed or taken away while the daemon ran", details))
+            self.changes.append(how or "was changed or taken away")
+            self._found.append(("tampered", f"the log {self.changes[-1]} while the daemon ran", details))
         self._at_least = 0
         if self._torn.exists():
             part = input_file.read(self._torn, largest=64 * TAIL_BYTES)
@@ -117,19 +121,21 @@ class AuditLog:
             os.close(self._fd)
             self._fd = -1
 
-    def append(self, items: Sequence[Item], read: Sequence[dict[str, int]]) -> list[bytes]:
+    def append(
+        self, items: Sequence[Item], read: Sequence[dict[str, int]], t_ns: int = 0, wall_ns: int = 0
+    ) -> list[bytes]:
         """Write entries and wait until they are on the disk; all or none. ``read``: positions of the rings in each.
 
-        Returns their lines.
+        Returns their lines. Without ``items`` it writes what was found of the log itself, at ``t_ns`` and ``wall_ns``.
 
         Raises:
             AuditError: see `open`.
             OSError: the write failed; the log is unchanged and the call may be repeated.
         """
-        if not self._in_place():
+        if self._fd < 0 or self.changed():
             self.open()
-        first = items[0]
-        said = [Item(first.t_ns, first.wall_ns, what, text, details=details) for what, text, details in self._found]
+        t_ns, wall_ns = (items[0].t_ns, items[0].wall_ns) if items else (t_ns, wall_ns)
+        said = [Item(t_ns, wall_ns, what, text, details=details) for what, text, details in self._found]
         lines, n, head = [], self.entries, self.head
         for item, state in zip([*said, *items], [*([self.read] * len(said)), *read], strict=True):
             n += 1
@@ -148,22 +154,26 @@ class AuditLog:
             self.close()  # the next write opens and checks the file again
             raise
         self._size += len(data)
-        self.entries, self.head, self.read = n, head, dict(read[-1])
+        self.entries, self.head, self.read = n, head, dict(read[-1]) if read else self.read
         if self._found:
             self._found.clear()
             with contextlib.suppress(OSError):
                 self._torn.unlink(missing_ok=True)
         return lines
 
-    def _in_place(self) -> bool:
-        """Whether the file still exists and ends where the last write left it."""
+    def changed(self) -> str:
+        """How the file is no longer the one that the last write left, in words; "" while it is, or is not open."""
         if self._fd < 0:
-            return False
+            return ""
         try:
             status = self.path.stat()
         except FileNotFoundError:
-            return False
-        return (status.st_ino, status.st_size) == (self._inode, self._size)
+            return "was renamed or deleted"
+        if status.st_ino != self._inode:
+            return "was replaced by another file"
+        if status.st_size < self._size:
+            return f"was cut from {self._size} to {status.st_size} bytes"
+        return "was written to by another program" if status.st_size > self._size else ""
 
 
 def _write(fd: int, data: bytes) -> None:

@@ -45,6 +45,7 @@ RETRY_NS = 1_000_000_000
 PUBLISH_NS = 1_000_000_000
 KEEP_STROKE_NS = 1_000_000_000
 ORDER_NS = 1_000_000_000
+LOG_NS = 1_000_000_000
 WAITING_MAX = 20_000  # entries kept while the disk fails; beyond it the rings hold the data
 HOST_LIMIT_S = 1.0  # for the last heads to leave
 LAST_ENTRY_S = 6.0  # after SIGTERM, limit for the wait for the supervisor's last entry
@@ -97,6 +98,8 @@ class Recorder:
         before = runtime.known(RECORDED)
         mine = before.get("run") == self._run
         self.log = AuditLog(settings.audit_log, settings.rig, int(before.get("entries", 0)) if mine else 0)
+        self._changes_before = int(before.get("changes", 0)) if mine else 0
+        self._changes_shown = 0
         self.trouble = Trouble()
         self.trip_dump: str | None = before.get("trip_dump") if mine else None
         self.over = False
@@ -122,7 +125,7 @@ class Recorder:
         self._kept_brake = last_stroke.read(settings).brake
         self._failures = 0  # of the recording, already reported
         self._misordered: dict[str, str] = {}  # words by the name's part that a run's files share
-        self._order_ns = 0
+        self._order_ns = self._log_ns = 0
         self._supervisor = Stall()
         self._add(self._own(now_ns, wall_ns, "recorder_started", f"process {os.getpid()}", {"pid": os.getpid()}))
 
@@ -133,6 +136,7 @@ class Recorder:
             thinned = self._thinning.thin(items, now_ns, wall_ns, final=final)
             self._add(*(self._enriched(item) for item in thinned))
             self.over = self.over or any(item.what in _OVER for item in items)
+        self._watch_log(now_ns, wall_ns)
         self._write(now_ns, wall_ns, final=final)
         self._dump(now_ns, wall_ns, final=final)
         self._record(now_ns, wall_ns)
@@ -266,17 +270,29 @@ class Recorder:
             return item
         return replace(item, details={**item.details, **more})
 
+    def _watch_log(self, now_ns: int, wall_ns: int) -> None:
+        """Notice at intervals that the log was renamed or cut, also while there is nothing to write."""
+        if now_ns >= self._log_ns and not self._waiting and self.trouble.may_try("audit log", now_ns):
+            self._log_ns = now_ns + LOG_NS
+            if self.log.changed():
+                self._append((), (), now_ns, wall_ns)
+
     def _write(self, now_ns: int, wall_ns: int, *, final: bool) -> None:
-        if not self._waiting or not (final or self.trouble.may_try("audit log", now_ns)):
-            return
-        items, states = zip(*self._waiting, strict=True)
+        if self._waiting and (final or self.trouble.may_try("audit log", now_ns)):
+            items, states = zip(*self._waiting, strict=True)
+            self._append(items, states, now_ns, wall_ns)
+
+    def _append(self, items: Sequence[Item], states: Sequence[dict[str, int]], now_ns: int, wall_ns: int) -> None:
         try:
-            lines = self.log.append(items, states)
+            lines = self.log.append(items, states, now_ns, wall_ns)
         except (OSError, AuditError) as error:
             why = f"{self.log.path} cannot be written: {error.strerror}" if isinstance(error, OSError) else str(error)
             self.trouble.begins("audit log", why, now_ns)
             return
         self._waiting.clear()
+        for how in self.log.changes[self._changes_shown :]:
+            _say(f"WARNING: the audit log {self.log.path} {how} while the daemon ran; it goes on in a file of its name")
+        self._changes_shown = len(self.log.changes)
         if self._recording is not None:
             self._recording.audit(lines)
         if self._host is not None:
@@ -328,6 +344,8 @@ class Recorder:
             "trips": str(self._trips.folder),
             "recording": self._recording.as_dict() if self._recording is not None else None,
             "failures": self.trouble.count,
+            "changes": self._changes_before + self._changes_shown,
+            "changed": self.log.changes[-1] if self.log.changes else "",
             "warnings": [f"recorder: {why}" for why in (*self.trouble.now.values(), *self._misordered.values())],
         }
         if not at_once and figures == self._published and now_ns < self._publish_ns:

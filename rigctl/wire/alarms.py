@@ -37,6 +37,8 @@ _PROCESS_REMEDIES = {
 """Processes whose end is an alarm of its own, ``NAME_ENDED``."""
 _OF_GATEWAY = frozenset({ENDPOINT_TAKEN, "RECORDER_ENDED", "GATEWAY_ENDED"})
 """Causes that a restart of the loop does not end."""
+AUDIT_LOG_CHANGED = "AUDIT_LOG_CHANGED"
+_LOG_REMEDY = "Keep what is left of the file; rigctl audit verify shows where its chain breaks. Find who did it."
 _POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 
 
@@ -276,6 +278,11 @@ class Alarms:
                 self._came(Alarm(_ended(cause), Priority.LOW, text, remedy, at, at, onsets_ns=(at,)))
             case "PROCESS_BACK":
                 self._change(_ended(cause), stands=False)
+            case "AUDIT_LOG_CHANGED":
+                text, at = str(note.get("text", "")), int(note["wall_ns"])
+                self._came(
+                    Alarm(AUDIT_LOG_CHANGED, Priority.LOW, text, _LOG_REMEDY, at, at, stands=False, onsets_ns=(at,))
+                )
             case "ENDPOINT_BACK":
                 self._change(ENDPOINT_TAKEN, stands=False)
 

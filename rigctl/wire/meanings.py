@@ -115,6 +115,7 @@ NOTES: dict[Note, str] = {
     Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
     Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
     Note.ENDPOINT_TAKEN: "another program has the endpoint of the network; other: it",
+    Note.AUDIT_LOG_CHANGED: "the audit log was renamed, replaced or cut while the daemon ran; reason: how",
     Note.ENDPOINT_BACK: "the endpoint of the network is the daemon's again; other: it",
     Note.PROCESS_LOST: "a process (other: recorder or gateway) has ended unwanted; reason: how",
     Note.PROCESS_BACK: "such a process (other) is started again; reason: of one started anew in order, why",

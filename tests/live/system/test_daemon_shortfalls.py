@@ -97,6 +97,17 @@ def test_a_port_that_another_program_has_before_the_first_start_is_an_event_and_
     assert [one for one in notes if one.startswith("endpoint_")] == ["endpoint_taken", "endpoint_back"]
 
 
+def test_an_audit_log_that_is_renamed_is_an_alarm_once(running: Running) -> None:
+    log = running.file.parent / f"audit/{daemons.name_of(running.file)}.jsonl"
+    log.rename(log.with_name("away.jsonl"))
+    until(lambda: "AUDIT_LOG_CHANGED" in daemons.rigctl("alarms", file=running.file).stdout, log=running.log)
+    running.do("arm")
+    running.do("disarm")
+    kinds = until(lambda: (read := log.read_text()).count('"command_accepted"') >= 2 and read, log=running.log)
+    assert [kinds.count(f'"what":"{what}"') for what in ("tampered", "audit_log_changed")] == [1, 1]
+    assert running.log.read_text().count("was renamed or deleted while the daemon ran") == 1
+
+
 def test_sighup_ends_it_like_sigterm(running: Running) -> None:
     before = tensioned(running)
     running.daemon.send_signal(signal.SIGHUP)

@@ -35,7 +35,7 @@ from rigctl.ipc import ledger, runtime_folder
 from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
 from rigctl.wire.user_name import PAGE
 from tests.builders.operators import KIM, USER
 from tests.builders.paths import ROOT
@@ -343,3 +343,26 @@ def test_a_lease_that_lapses_is_noted_also_while_no_command_comes(tmp_path: path
         until(lambda: (int(Note.LEASE_LAPSED), KIM) in notes(rig.runtime))
     finally:
         rig.close()
+
+
+def test_a_change_of_the_audit_log_is_noted_once_also_by_the_next_gateway(rig: Rig) -> None:
+    def noted() -> list[str]:
+        ring = rig.runtime.notes.reader(from_start=True).read()
+        return [note["reason"].decode() for note in ring if note["kind"] == Note.AUDIT_LOG_CHANGED]
+
+    def published() -> list[str]:
+        rig.gateway.publish()
+        return noted()
+
+    changed = {"changes": 1, "changed": "was renamed or deleted"}
+    rig.runtime.write_json(RECORDED, {**changed, "run": 1})  # of an earlier run
+    rig.gateway._read_ns = 0
+    rig.gateway.publish()
+    rig.runtime.write_json(RECORDED, {**changed, "run": 0})
+    assert until(published) == ["was renamed or deleted"]
+    for _ in range(3):
+        rig.runtime.write_json(RECORDED, {**changed, "run": 0, "entries": 7})
+        rig.gateway.publish()
+    assert len(noted()) == 1
+    (row,) = [one for one in rig.client.past_events() if one["kind"] == "AUDIT_LOG_CHANGED"]
+    assert row["severity"] == "warning"

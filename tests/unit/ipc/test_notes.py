@@ -8,6 +8,7 @@ from rigctl.ipc.notes import Note, worded
 
 OF_THE_DAEMON = (
     Note.LEASE_NOT_BELIEVED, Note.ENDPOINT_TAKEN, Note.ENDPOINT_BACK, Note.PROCESS_LOST, Note.PROCESS_BACK,
+    Note.AUDIT_LOG_CHANGED,
 )  # fmt: skip
 
 

@@ -6,6 +6,7 @@ import contextlib
 import hashlib
 import json
 import pathlib
+import re
 import subprocess
 from collections.abc import Callable
 
@@ -98,16 +99,21 @@ def test_a_log_of_nothing_but_half_a_line_begins_anew(path: pathlib.Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "said", "how"),
     [
-        (lambda path: path.unlink(), 0),
-        (lambda path: path.write_bytes(path.read_bytes().splitlines(keepends=True)[0]), 1),
-        (lambda path: path.replace(path.with_name("away")), 0),
-        (lambda path: path.write_bytes(b""), 0),
+        (lambda path: path.unlink(), 0, "was renamed or deleted"),
+        (
+            lambda path: path.write_bytes(path.read_bytes().splitlines(keepends=True)[0]),
+            1,
+            r"was cut from \d+ to \d+ b",
+        ),
+        (lambda path: path.replace(path.with_name("away")), 0, "was renamed or deleted"),
+        (lambda path: path.write_bytes(b""), 0, r"was cut from \d+ to 0 bytes"),
+        (lambda path: (path.unlink(), path.touch()), 0, "was (replaced by another file|cut)"),
     ],
 )
 def test_a_log_that_is_taken_away_while_the_daemon_runs_is_said(
-    path: pathlib.Path, change: Callable[[pathlib.Path], object], said: int
+    path: pathlib.Path, change: Callable[[pathlib.Path], object], said: int, how: str
 ) -> None:
     log = AuditLog(path, "rig")
     write(log, "a", "b")
@@ -117,6 +123,9 @@ def test_a_log_that_is_taken_away_while_the_daemon_runs_is_said(
     assert names(path)[-2:] == ["tampered", "c"]
     details = entries(path)[-2].details
     assert (details["entries"], details["head"], details["found"]) == (2, head, said)
+    (found,) = log.changes
+    assert re.match(how, found)
+    assert found in entries(path)[-2].text
     write(log, "d")
     assert names(path).count("tampered") == 1
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from types import SimpleNamespace
 from typing import Any, cast
@@ -99,6 +100,33 @@ def test_what_the_loop_did_before_the_recorder_started_is_logged_too(runtime: Ru
     assert (found["replies"].seq, found["events"].seq) == (1, 1)
     details = found["replies"].details
     assert (details["value"], details["spread"]) == (4.5, 0.0)
+
+
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_log_that_is_renamed_or_cut_is_found_without_another_entry_and_said_once(
+    runtime: Runtime, settings: RigSettings, capsys: pytest.CaptureFixture[str], cut: bool
+) -> None:
+    recorder, log = Recorder(runtime, settings, 0, 0), settings.audit_log
+    recorder.poll(S, S)
+    recorder.poll(2 * S, 2 * S)  # the recording's own entry is written too
+    size = log.stat().st_size
+    if cut:
+        os.truncate(log, 0)
+    else:
+        log.rename(log.with_name("away.jsonl"))
+    for second in range(3, 9):
+        recorder.poll(second * S, second * S)
+    (entry,) = entries(settings)
+    how = f"was cut from {size} to 0 bytes" if cut else "was renamed or deleted"
+    assert (entry.what, entry.text, entry.t_ns) == ("tampered", f"the log {how} while the daemon ran", 3 * S)
+    assert [line for line in capsys.readouterr().err.splitlines() if "WARNING" in line] == [
+        f"recorder: WARNING: the audit log {log} {how} while the daemon ran; it goes on in a file of its name"
+    ]
+    told = runtime.read_json(RECORDED)
+    assert (told["changes"], told["changed"]) == (1, how)
+    again = Recorder(runtime, settings, 9 * S, 9 * S)
+    again.poll(10 * S, 10 * S)
+    assert runtime.read_json(RECORDED)["changes"] == 1
 
 
 @pytest.mark.parametrize("over", [True, False])

@@ -341,6 +341,17 @@ def test_a_port_that_another_program_has_is_an_alarm_until_it_is_back() -> None:
     assert [row.stands for row in alarms.rows(CALM, 3 * S)] == [False]
 
 
+def test_a_changed_audit_log_is_an_alarm_until_it_is_acknowledged() -> None:
+    text = worded_note(Note.AUDIT_LOG_CHANGED, "", "", "was renamed or deleted")[1]
+    note = {"source": "gateway", "kind": Note.AUDIT_LOG_CHANGED.name, "wall_ns": 1, "other": "", "text": text}
+    alarms = Alarms([note])
+    (row,) = alarms.rows(CALM, 3 * S)
+    assert (row.cause, row.priority, row.condition, row.is_open) == ("AUDIT_LOG_CHANGED", Priority.LOW, "cleared", True)
+    assert row.text.startswith("the audit log was renamed or deleted while the daemon ran; ")
+    alarms.note({"source": "gateway", "kind": "ALARM_ACKNOWLEDGED", "operator": "kim", "other": row.cause})
+    assert alarms.rows(CALM, 3 * S) == []
+
+
 def test_words_and_json_of_a_row() -> None:
     (row,) = Alarms([trip(3.0)]).rows(None, 4 * S)
     head, words, remedy = block(row, 4 * S)
