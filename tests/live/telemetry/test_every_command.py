@@ -51,7 +51,7 @@ OFFLINE = (
     "audit show LOG --last 2 --since 2025-01-01T00:00:00Z --what trip --who kim --json",
     "install config/rig.yaml --dry-run --root FOLDER/root --adapter A1 --operator root --viewer root --start",
     "install config/rig.yaml --root FOLDER/root --no-start",
-    "uninstall rig --root INSTALLED --dry-run",
+    "uninstall rig --root INSTALLED --dry-run", "uninstall rig --root INSTALLED --dry-run --leave-load",
     "bridge plotjuggler --layout -", "bridge foxglove --layout FOLDER/layout.json",
     "page --link --listen 127.0.0.1:9",
     "bench PAPER --seconds 1 --rate 500 --json",
@@ -61,7 +61,8 @@ COMMANDED = (
     "status --all", "alarms", "alarms acknowledge --all", "doctor PAPER", "lease take --reason mine", "lease show",
     "arm --near-end",
     "tension --wait", "calibrate --weight-n 294.2 --adopt", "target 290", "move 1", "release --wait", "hold",
-    "disarm", "reset", "carry 5", "lower", "confirm-stroke 0", "tare", "calibrate --shunt", "identify --in tension",
+    "disarm", "reset", "carry 5 --by encoder", "lower --by cell", "brake-test --supported", "confirm-stroke 0", "tare",
+    "calibrate --shunt", "identify --in tension",
     "gains PAPER", "--key FOLDER/none.pem status",
 )  # fmt: skip
 """In this order, so that no weight is adopted. With every option that they have in common, see `full`."""
