@@ -87,7 +87,7 @@ def test_a_port_that_another_program_has_before_the_first_start_is_an_event_and_
         assert said.endswith(f"answering on the sockets of this computer; another program has {daemons.endpoint(file)}")
         assert until(lambda: daemons.state(file), log=log)["mode"] == "DISARMED"
         assert daemons.rigctl("arm", file=file).returncode == 0
-        shown = daemons.rigctl("status", file=file).stdout
+        shown = daemons.rigctl("status", "--all", file=file).stdout
         assert f"another program has {daemons.endpoint(file)}" in shown, shown
         taken.close()
         audit = file.parent / "audit" / f"{daemons.name_of(file)}.jsonl"
