@@ -95,15 +95,13 @@ class HoldSockets:
         """
         apart, own = _users(), os.geteuid()
         made = [_bound(runtime, own)]
-        try:
-            for uid in apart:
-                if uid != own:
-                    made.append(_bound(runtime, uid))
-                    access_list.admit(runtime.place(socket_name(uid)), users={uid: READ_WRITE})
-        except OSError:  # a file system without access lists: all others share a socket
-            runtime.place(socket_name(uid)).unlink(missing_ok=True)
-            made.pop().close()
-            apart = []
+        for uid in apart:
+            if uid != own:
+                try:
+                    made.append(_of_user(runtime, uid))
+                except OSError:  # a file system without access lists, or without room: all others share a socket
+                    apart = []
+                    break
         made.append(_bound(runtime, None))
         if apart:
             others = dict.fromkeys(apart, 0)
@@ -165,6 +163,17 @@ def prepared(one: socket.socket) -> socket.socket:
     one.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
     with contextlib.suppress(OSError):
         one.setsockopt(socket.SOL_SOCKET, _SO_PASSRIGHTS, 0)
+    return one
+
+
+def _of_user(runtime: Runtime, uid: int) -> socket.socket:
+    """A socket in the folder that this user alone can open."""
+    one = _bound(runtime, uid)
+    try:
+        access_list.admit(runtime.place(socket_name(uid)), users={uid: READ_WRITE})
+    except OSError:
+        one.close()
+        raise
     return one
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import pathlib
 import pwd
@@ -309,6 +310,26 @@ def test_without_access_lists_the_users_share_a_socket(runtime: Runtime, monkeyp
     HoldSockets.of(runtime).close()
     names = {path.name for path in runtime.directory.glob("hold.*")}
     assert names == {socket_name(OWN), socket_name(None)}
+
+
+def test_a_user_for_whom_there_is_no_room_shares_a_socket_and_takes_no_other_away(
+    runtime: Runtime, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bound = hold_sockets._bound
+
+    def full(runtime: Runtime, uid: int | None) -> socket.socket:
+        if uid == DAEMON:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return bound(runtime, uid)
+
+    monkeypatch.setattr(hold_sockets, "_users", lambda: [DAEMON, OWN])
+    monkeypatch.setattr(hold_sockets, "_bound", full)
+    sockets = HoldSockets.of(runtime)
+    for name in (socket_name(OWN), socket_name(None)):
+        hold_socket.give(runtime.place(name), "kim", 0.0, OWN)
+    found = [sockets.take(n * TICK_NS) for n in range(4)]
+    sockets.close()
+    assert sum(hold is not None for hold in found) == 2
 
 
 def test_a_directory_of_very_many_users_gives_sockets_to_persons_first_and_leaves_descriptors(

@@ -33,8 +33,8 @@ def test_an_undisturbed_run_is_logged_recorded_and_closed(runtime: Runtime, sett
         "recorder_started", "recorder_stopped",
     ]  # fmt: skip
     assert read(*settings.file(settings.recording.folder).iterdir()).complete
-    told = runtime.read_json(RECORDED)
-    assert (told["entries"], told["failures"], told["warnings"]) == (5, 0, [])
+    found = runtime.read_json(RECORDED)
+    assert (found["entries"], found["failures"], found["warnings"]) == (5, 0, [])
 
 
 def test_an_entry_has_one_moment_on_both_clocks_also_after_a_disk_that_failed(
@@ -61,9 +61,9 @@ def test_a_recording_that_fails_is_told_and_counted_once_for_each_try(runtime: R
     recorder = Recorder(runtime, settings, 0, 0)
     for number in range(1, 11):
         recorder.poll(number * S // 10, number * S // 10)
-    told = runtime.read_json(RECORDED)
-    assert told["failures"] == 1
-    assert str(folder) in told["warnings"][0]
+    found = runtime.read_json(RECORDED)
+    assert found["failures"] == 1
+    assert str(folder) in found["warnings"][0]
     folder.unlink()
     for second in range(2, 5):
         recorder.poll(second * S, second * S)
@@ -122,8 +122,8 @@ def test_a_log_that_is_renamed_or_cut_is_found_without_another_entry_and_said_on
     assert [line for line in capsys.readouterr().err.splitlines() if "WARNING" in line] == [
         f"recorder: WARNING: the audit log {log} {how} while the daemon ran; it goes on in a file of its name"
     ]
-    told = runtime.read_json(RECORDED)
-    assert (told["changes"], told["changed"]) == (1, how)
+    found = runtime.read_json(RECORDED)
+    assert (found["changes"], found["changed"]) == (1, how)
     again = Recorder(runtime, settings, 9 * S, 9 * S)
     again.poll(10 * S, 10 * S)
     assert runtime.read_json(RECORDED)["changes"] == 1
