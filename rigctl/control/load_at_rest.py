@@ -15,7 +15,7 @@ from rigctl.control.snapshot import Snapshot
 REST_NS = round(REST_S * 1e9)
 REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
 STILL_MM = 0.02  # of stretch: the swing of a payload on air bearings falls and rises again by 0.01 mm
-FALLS_NS = 750_000_000  # a fall of more: that of a payload that bounces ends sooner, seen over 0.5 s
+BOUNCE_NS = 750_000_000  # a fall of more: that of a payload that bounces ends sooner, seen over 0.5 s
 _SMOOTH_S = 0.05  # of the cell's noise
 _CELL_DOUBTED = frozenset(
     {Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL, Fault.STRETCH_UNEXPLAINED,
@@ -63,7 +63,7 @@ class LoadRest:
             self._falls_ns = snapshot.t_ns
         by_tension = self.tension_seen and not self.slack
         by_stroke = not causes & STROKE_BITS and snapshot.drive_age_ns <= self._stale_ns
-        falls = snapshot.t_ns - self._falls_ns >= FALLS_NS
+        falls = snapshot.t_ns - self._falls_ns >= BOUNCE_NS
         tension_moves = by_tension and (self.tension_ns < REST_NS or falls)
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):

@@ -43,13 +43,17 @@ class EndedProcesses:
         for slot in self._supervision.read():
             process, kind = bytes(slot["other"]).decode(errors="replace"), _KINDS.get(int(slot["kind"]))
             before = self._newest.get(process)
-            if kind is None or before is None or int(slot["t_ns"]) <= before.t_ns or kind is before.kind is _BACK:
+            if (
+                kind is None
+                or before is None
+                or int(slot["t_ns"]) <= before.t_ns
+                or kind is before.kind is Note.PROCESS_BACK
+            ):
                 continue
             reason = bytes(slot["reason"]).decode(errors="replace") if kind is Note.PROCESS_LOST else ""
             self._newest[process] = note = ProcessNote(int(slot["t_ns"]), kind, process, reason)
-            if not (kind is Note.PROCESS_LOST and before.reason and before.kind is _BACK):  # one that it has announced
+            if not (
+                kind is Note.PROCESS_LOST and before.reason and before.kind is Note.PROCESS_BACK
+            ):  # one that it has announced
                 found.append(note)
         return found
-
-
-_BACK = Note.PROCESS_BACK

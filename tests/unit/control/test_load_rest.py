@@ -6,7 +6,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.faults import Fault
-from rigctl.control.load_at_rest import FALLS_NS, REST_NS, STILL_MM, LoadRest
+from rigctl.control.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
 from rigctl.control.modes import LoadAtRest
 from rigctl.control.snapshot import Snapshot
 from tests.builders.paths import ROOT
@@ -37,9 +37,9 @@ class Load:
 def test_a_fall_that_ends_as_that_of_a_bounce_is_no_motion() -> None:
     load = Load()
     for _ in range(3):
-        assert load.look(FALLS_NS - STEP_NS, sinks_n=FALL_N) is LoadAtRest.BOTH
+        assert load.look(BOUNCE_NS - STEP_NS, sinks_n=FALL_N) is LoadAtRest.BOTH
         assert load.look(STEP_NS) is LoadAtRest.BOTH
-    assert load.look(FALLS_NS, sinks_n=FALL_N) is LoadAtRest.MOVES
+    assert load.look(BOUNCE_NS, sinks_n=FALL_N) is LoadAtRest.MOVES
 
 
 @pytest.mark.parametrize(
