@@ -56,6 +56,7 @@ _EVENTS = {
     Event.RAMP_DOWN: "limit asks for a ramp down",
     Event.UNTESTED: "target reached, the brake fails",
     Event.PAY_OUT: "`release` MM",
+    Event.RAMP_ENDS: "a ramp with its fault latched has ended",
     Event.LOWER: "`lower`, or the time of `carry` is over",
 }
 _ACTIONS = {

@@ -130,6 +130,7 @@ _EVENT_TEXT: dict[Event, str] = {
     Event.RAMP_DOWN: "ramp down",
     Event.UNTESTED: "target reached; rigctl brake-test comes first, the brake is known not to hold",
     Event.PAY_OUT: "release of a slack rope commanded",
+    Event.RAMP_ENDS: "the ramp to slack has ended, the fault is still latched",
     Event.LOWER: "the motor lowers the load, the brake does not hold it",
 }
 
@@ -398,8 +399,8 @@ def _load_at_rest(_a: int, b: int, _value: float, _limit: float, text: str) -> W
 
 
 def _mode(a: int, b: int, value: float, _limit: float, _text: str) -> Worded:
-    severity = "error" if b == Mode.FAULT else "info"
-    return Worded(severity, f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[Event(int(value))]}")
+    event = Event(int(value))
+    return Worded("error" if event is Event.TRIP else "info", f"{Mode(a).name} -> {Mode(b).name}: {_EVENT_TEXT[event]}")
 
 
 def _emergency(a: int, b: int, _value: float, _limit: float, text: str) -> Worded:

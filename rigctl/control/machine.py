@@ -210,7 +210,7 @@ class Machine:
         """Take an event of the rig itself; SLACK with a fault latched is the end of a ramp down, and goes to FAULT."""
         if event is Event.SLACK and self.fault is not Fault.NONE:
             self.carry_until_ns = 0
-            event = Event.TRIP
+            event = Event.RAMP_ENDS
         self._go(event)
 
     def trip(self, trip: Trip, t_ns: int, *, slack: bool = True) -> bool:
@@ -381,7 +381,7 @@ class Machine:
             self.end_trial(Refusal.ABORTED)
             self._finish_pending(Refusal.STOPPING)
             self._end_disarming(Refusal.STOPPING)
-            self._go(Event.STOP if self.fault is Fault.NONE else Event.TRIP)
+            self._go(Event.STOP if self.fault is Fault.NONE else Event.RAMP_ENDS)
 
     def power_off(self) -> None:
         """Let the drive close its brake and go off, in any mode, as the last act of a stop."""

@@ -153,6 +153,7 @@ class Event(IntEnum):
     LOWER = 12  # the motor lowers a load that the brake does not hold
     UNTESTED = 13  # ramp over on a brake that is known not to hold: it is to be tested first
     PAY_OUT = 14  # a slack rope is made longer
+    RAMP_ENDS = 15  # of a ramp to slack with a fault latched: slack, a hold, or the process is to end
 
 
 class Verb(IntEnum):
@@ -440,6 +441,7 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
     **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
     **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
+    (Mode.RELEASING, Event.RAMP_ENDS): Transition(Mode.FAULT),
     **{(mode, Event.TRIP): Transition(Mode.FAULT) for mode in Mode},
 }
 """RELEASING with a fault latched is a ramp down, which always ends in FAULT: by slack, hold, stop or a trip."""
@@ -579,7 +581,7 @@ def decide(mode: Mode, verb: Verb, situation: Situation) -> Decision:
     if verb is Verb.RESET:
         event = Event.RESET_HELD if situation.armed and not situation.drive_faulted else Event.RESET_OFF
     if event is Event.HOLD and mode is Mode.RELEASING and situation.fault:
-        return Decision(event=Event.TRIP)  # the ramp down ends here, stroke held, the fault still latched
+        return Decision(event=Event.RAMP_ENDS)
     if event is None or (mode, event) not in TRANSITIONS:
         return Decision(Refusal.WRONG_MODE)
     return _guarded(TRANSITIONS[mode, event].guard, event, situation)

@@ -21,7 +21,7 @@ from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.control.modes import Event, Mode
 from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
@@ -70,14 +70,14 @@ class Group:
 
 
 def triggers(events: npt.NDArray[np.void]) -> list[Trigger]:
-    """Trips, and changes to FAULT, because an exception in the loop leads to FAULT without a trip."""
+    """Trips, and their changes to FAULT, because an exception in the loop leads to FAULT without a trip."""
     found = []
     for slot in events:
         seq, t_ns, kind, a, b = (int(slot[name]) for name in ("seq", "t_ns", "kind", "a", "b"))
         if kind == Kind.TRIP:
             known = a in Fault._value2member_map_
             found.append(Trigger(seq, t_ns, Fault(a).name if known else f"FAULT_{a}"))
-        elif kind == Kind.MODE and b == Mode.FAULT:
+        elif kind == Kind.MODE and b == Mode.FAULT and slot["value"] == Event.TRIP:
             found.append(Trigger(seq, t_ns, ""))
     return found
 

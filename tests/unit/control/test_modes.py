@@ -54,6 +54,7 @@ BY_ITSELF = {
     Event.SLACK: ({Mode.RELEASING}, Mode.HOLD),
     Event.RAMP_DOWN: (ARMED - {Mode.RELEASING}, Mode.RELEASING),
     Event.STOP: (ARMED, Mode.HOLD),
+    Event.RAMP_ENDS: ({Mode.RELEASING}, Mode.FAULT),
     Event.TRIP: (set(Mode), Mode.FAULT),
 }
 """Events that no operator gives: the modes in which they mean something, and where they lead."""
@@ -226,9 +227,9 @@ def test_a_target_at_its_bound_is_inside(value: float) -> None:
 
 @pytest.mark.parametrize("latched", [False, True])
 @pytest.mark.parametrize("mode", Mode)
-def test_only_a_ramp_down_is_ended_by_hold_as_a_trip(mode: Mode, latched: bool) -> None:
+def test_a_hold_ends_a_ramp_down_alone_in_fault(mode: Mode, latched: bool) -> None:
     event = decide(mode, Verb.HOLD, Situation(fault=int(latched))).event
-    assert (event is Event.TRIP) == (latched and mode is Mode.RELEASING)
+    assert (event is Event.RAMP_ENDS) == (latched and mode is Mode.RELEASING)
 
 
 def test_guards_refuse_for_their_own_reason_only() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
+from rigctl.control.modes import Event, Mode
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.recorder.trips import AFTER_NS, Trigger, Trips, first_group
 
@@ -38,3 +39,9 @@ def test_a_dump_is_due_once_its_time_is_over_or_no_more_data_will_come(runtime: 
     assert (group.fault, trips.due(5 * S, final=True)) == ("RIVAL", group)
     trips.done(group)
     assert trips.due(99 * S) is None
+    events.write(99 * S, Kind.MODE, Mode.RELEASING, Mode.FAULT, float(Event.RAMP_ENDS), 0.0, b"")
+    assert trips.due(200 * S) is None  # no trip, but the end of a lowering out of FAULT
+    events.write(200 * S, Kind.MODE, Mode.HOLD, Mode.FAULT, float(Event.TRIP), 0.0, b"")
+    group = trips.due(300 * S)
+    assert group is not None
+    assert group.fault == "LOOP_EXCEPTION"  # nothing else leads to FAULT without an event of its trip
