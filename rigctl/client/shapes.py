@@ -130,6 +130,7 @@ class _AnyState(msgspec.Struct):
     wall_ns: Time
     age_ms: Bounded | None
     rig: Line = ""
+    waits_for: Line | None = None
     held_by: Word | None = None
     power_off: Word | None = None
     load_at_rest: Word | None = None

@@ -5,6 +5,7 @@ Only numbers cross to it: settings from the runtime folder, gains as one line on
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import socket
@@ -33,7 +34,7 @@ from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.ledger import in_force
-from rigctl.ipc.runtime_folder import REFUSED, FolderError, Runtime
+from rigctl.ipc.runtime_folder import REFUSED, WAITS, FolderError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 
 WARM_UP_TICKS = 50
@@ -124,15 +125,31 @@ def _say(line: str) -> None:
     sys.stderr.flush()
 
 
-def _brought_up(settings: RigSettings, clock: GridClock) -> tuple[can.BusABC, startup.StartupReport]:
+class _Waits:
+    """Shows the supervisor what this start waits for, once for each thing in turn."""
+
+    def __init__(self, runtime: Runtime) -> None:
+        self._runtime, self._shown = runtime, ""
+
+    def __call__(self, name: str) -> None:
+        if name != self._shown:
+            self._shown = name
+            with contextlib.suppress(OSError):  # no room: it is not shown
+                self._runtime.write_json(WAITS, {"waits_for": name})
+
+
+def _brought_up(
+    settings: RigSettings, clock: GridClock, waits: Callable[[str], None]
+) -> tuple[can.BusABC, startup.StartupReport]:
     """The bus, with the devices up.
 
     Raises:
         StartupError: they are not, and the bus is closed.
     """
+    waits(f"bus {settings.can.interface}")
     bus = open_bus(settings)
     try:
-        return bus, startup.bring_up(bus, settings, clock.now, _say)
+        return bus, startup.bring_up(bus, settings, clock.now, _say, waits)
     except BaseException:
         bus.shutdown()
         raise
@@ -160,17 +177,19 @@ def run(directory: str) -> int:
     except (OSError, msgspec.MsgspecError, ValidationError):
         sys.stderr.write("rigctl: control: active.json holds no valid settings\n")
         return EXIT_CANNOT_START
-    clock = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000)
+    clock, waits = GridClock(settings.loop.period_ns, settings.loop.spin_us * 1000), _Waits(runtime)
     try:
-        bus, report = _brought_up(settings, clock)
+        bus, report = _brought_up(settings, clock, waits)
     except startup.StartupError as error:
         _refuse(runtime, str(error))
         return EXIT_CANNOT_START
+    waits("design of the gains")
     line = sys.stdin.readline()
     if not line:
         bus.shutdown()
         return EXIT_CANNOT_START  # the supervisor has ended or refused the design
     gains = msgspec.json.decode(line, type=ScheduledGains)
+    waits("first tick of the loop")
     warm_up(settings, gains, report.process_data)
     if settings.can.interface in FILTERS_IN_FULL:
         bus.set_filters(receive_filters(settings, report.process_data))

@@ -94,7 +94,7 @@ class RemoteNode:
             self._objects = eds_file.read(settings, section)
         except EdsError as error:
             raise StartupError(str(error)) from None
-        self.remote = bus.add(self.id, device.sdo_timeout_ms * 1e-3)
+        self.remote = bus.add(self.id, device.sdo_timeout_ms * 1e-3, f"{name} (node {self.id})")
         self._verified: dict[tuple[int, int], Watched] = {}
 
     @property

@@ -40,6 +40,7 @@ __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_
 
 _LISTENED_HEARTBEATS = 2.5
 _STARTED_HEARTBEATS = 2.5
+_HEARTBEATS = "heartbeats of the devices"
 _INHIBIT_UNITS_PER_MS = 10
 _SAME_SCALE = 1e-6  # relative: two values of the same scale differ by rounding at most
 _METRE, _PER_SECOND = 0x01, 0x03  # CiA 303-2
@@ -123,11 +124,16 @@ def listened_s(settings: RigSettings) -> float:
 
 
 def bring_up(
-    bus: can.BusABC, settings: RigSettings, now_ns: Callable[[], int], say: Callable[[str], None] = lambda _line: None
+    bus: can.BusABC,
+    settings: RigSettings,
+    now_ns: Callable[[], int],
+    say: Callable[[str], None] = lambda _line: None,
+    waits: Callable[[str], None] = lambda _name: None,
 ) -> StartupReport:
     """Configure the CANopen devices and start them; the drive stays off, its brake closed.
 
-    ``now_ns``: the clock of ``bus``, see `StartupBus`. ``say``: called with one line for each wait.
+    ``now_ns``: the clock of ``bus``, see `StartupBus`. ``say``: called with one line for each wait. ``waits``: with the
+    name of what the start waits for, however short.
 
     Devices with plain frames need no configuration; the loop's preflight checks that they send.
 
@@ -135,7 +141,7 @@ def bring_up(
         StartupError: one line.
     """
     channel = f"{settings.can.interface}:{settings.can.channel}"
-    line = StartupBus(bus, now_ns, lambda words: say(f"{channel}: {words}"))
+    line = StartupBus(bus, now_ns, lambda words: say(f"{channel}: {words}"), waits)
     nodes = {device: RemoteNode(line, settings, device, _DEVICES[device][0]) for device in settings.canopen_nodes}
     refuse_rival(line, settings)
     try:
@@ -216,6 +222,7 @@ def _start(bus: StartupBus, nodes: Iterable[RemoteNode], say: Callable[[str], No
         return [node for node in nodes if node.reported is not od.NmtState.OPERATIONAL]
 
     bus.reported.clear()
+    bus.waits(_HEARTBEATS)
     for _ in range(2):
         for node in waiting():
             node.remote.nmt.state = "OPERATIONAL"

@@ -32,13 +32,17 @@ class StartupBus:
     """A bus, the time on it, and canopen's network of the devices under configuration."""
 
     def __init__(
-        self, bus: can.BusABC, now_ns: Callable[[], int], say: Callable[[str], None] = lambda _line: None
+        self,
+        bus: can.BusABC,
+        now_ns: Callable[[], int],
+        say: Callable[[str], None] = lambda _line: None,
+        waits: Callable[[str], None] = lambda _device: None,
     ) -> None:
         """``now_ns``: the clock on which a ``recv`` of ``bus`` takes its time-out.
 
-        ``say``: called with one line before a long wait.
+        ``say``: called with one line before a long wait. ``waits``: with the device that each request goes to.
         """
-        self.bus, self.now_ns, self._say = bus, now_ns, say
+        self.bus, self.now_ns, self._say, self.waits = bus, now_ns, say, waits
         self.network = _Network(self)
         self.boots_until_ns = 0
         """Until then a send queue may stay full, because the devices that would acknowledge boot."""
@@ -100,9 +104,9 @@ class StartupBus:
                 return heard()
         return True
 
-    def add(self, node: int, answer_s: float) -> canopen.RemoteNode:
-        """A device, which answers a request within ``answer_s``."""
-        remote: canopen.RemoteNode = self.network.add_node(_RemoteNode(node, self))
+    def add(self, node: int, answer_s: float, name: str = "") -> canopen.RemoteNode:
+        """A device, which answers a request within ``answer_s``; ``name``: for who waits for it."""
+        remote: canopen.RemoteNode = self.network.add_node(_RemoteNode(node, self, name))
         remote.sdo.RESPONSE_TIMEOUT = answer_s
         self.network.subscribe(HEARTBEAT_BASE + node, self._on_heartbeat)
         return remote
@@ -129,12 +133,13 @@ class _SdoClient(SdoClient):  # type: ignore[misc]  # canopen has no types
 
     def __init__(self, node: _RemoteNode, rx_cobid: int, tx_cobid: int) -> None:
         super().__init__(rx_cobid, tx_cobid, node.object_dictionary)
-        self._bus = node.startup_bus
+        self._bus, self._name = node.startup_bus, node.name
         self._asked: tuple[int, int] | None = None
 
     def send_request(self, request: bytes) -> None:
         """Send a request, see canopen."""
         self._asked = sdo.multiplexer(request)
+        self._bus.waits(self._name)
         super().send_request(request)
 
     def read_response(self) -> bytes:
@@ -152,8 +157,8 @@ class _SdoClient(SdoClient):  # type: ignore[misc]  # canopen has no types
 class _RemoteNode(canopen.RemoteNode):  # type: ignore[misc]  # canopen has no types
     """canopen's node with such a client."""
 
-    def __init__(self, node: int, startup_bus: StartupBus) -> None:
-        self.startup_bus = startup_bus
+    def __init__(self, node: int, startup_bus: StartupBus, name: str) -> None:
+        self.startup_bus, self.name = startup_bus, name
         super().__init__(node, canopen.ObjectDictionary())  # types and names: rigctl.devices.eds_file
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> _SdoClient:

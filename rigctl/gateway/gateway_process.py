@@ -50,7 +50,7 @@ from rigctl.gateway.streams import (
     past_messages,
 )
 from rigctl.identity.key_folder import KeyFolderError
-from rigctl.ipc import heap, ledger, standard_output, wall_clock
+from rigctl.ipc import heap, ledger, public_slot, standard_output, wall_clock
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.ledger import Standing
@@ -91,7 +91,7 @@ class StateView:
         self, runtime: Runtime, settings: RigSettings, active: ActiveConfiguration, dates: Mapping[str, datetime]
     ) -> None:
         """``dates``: of certificates, by what they are of."""
-        self._dates = dates
+        self._dates, self._runtime = dates, runtime
         self._settings, self._active = settings, active
         self._recorder = ReplacedFile(runtime, RECORDED)
         self._records, self._events = runtime.records.reader(), runtime.events.reader(from_start=True)
@@ -145,6 +145,7 @@ class StateView:
                 *self._stalled.look(),
             ]  # fmt: skip
         state = state_of(record, self._trip, self._recent, now_ns, time.time_ns())
+        public = None if state["loop_alive"] else public_slot.read(self._runtime)
         wall_ns = time.time_ns() - now_ns
         causes = self._causes.of(record, wall_ns) if record is not None else []
         words: dict[Fault, str] = {}
@@ -153,6 +154,7 @@ class StateView:
         self.standing = words
         own = {
             "rig": self._settings.rig,
+            "waits_for": public.waits_for or None if public is not None else None,
             "causes": causes,
             "culprit": culprit_of(self._culprit.of(record), causes, state),
             "samples_lost": samples_lost,

@@ -21,6 +21,8 @@ RECORDED = "recorder.json"
 DESIGN = "design.json"
 REFUSED = "refused.json"
 """Why the control process did not start, from it to the supervisor."""
+WAITS = "waits.json"
+"""What the start of the control process waits for, from it to the supervisor."""
 _Count = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
 _Object = dict[str, Any]
 
@@ -88,6 +90,11 @@ class _RefusedFile(msgspec.Struct):
 
 
 @built
+class _WaitsFile(msgspec.Struct):
+    waits_for: str = ""
+
+
+@built
 class _DesignFile(msgspec.Struct):
     run_id: str
     design: _Object
@@ -99,6 +106,7 @@ SHAPES: dict[str, Any] = {
     "control.json": _ControlFile,
     RECORDED: _RecorderFile,
     REFUSED: _RefusedFile,
+    WAITS: _WaitsFile,
 }
 """Shapes of the files that the daemon's processes share; the readers of other files check these themselves."""
 

@@ -5,13 +5,14 @@
 ``recorder.json`` (files written by the recorder), ``control.json`` (settings read back by the control process),
 ``calibration.json`` (the cell's zero, scale and due date in force), ``design.json`` (gains exchanged during the run, in
 place of the design in ``active.json``), ``stroke.json`` (the last known stroke at the start of the control process),
-``lease.json`` (holder of the lease), ``gateway.*`` and ``command.sock`` (the gateway's own), ``lock`` (held by the
-supervisor, with its pid in it), ``end.*`` (a process that is a service of its own is to end).
+``lease.json`` (holder of the lease), ``gateway.*`` and ``command.sock`` (the gateway's own), ``waits.json`` (what the
+start of the control process waits for), ``public.slot`` (`rigctl.ipc.public_slot`), ``lock`` (held by the supervisor,
+with its pid in it), ``end.*`` (a process that is a service of its own is to end).
 
 Anyone may make a folder of this name in ``/dev/shm``. A daemon uses only a folder that its user owns, follows no link
 in it, and makes its files anew (0600). Others may enter it but neither list nor write to it (0711): they find the
-daemon by ``public.json`` and ``lock``, and give it HOLD. Its processes open every file relative to a descriptor of the
-folder that each of them has checked (`Runtime.entered`).
+daemon by ``public.json`` and ``lock``, read ``public.slot``, and give it HOLD. Its processes open every file relative
+to a descriptor of the folder that each of them has checked (`Runtime.entered`).
 
 The installed service has its folders in ``/run/rigctl``, which belongs to the supervisor's user. There the folder's
 group lists it (0751) and reads rings and files (0640), the groups ``rigctl-operator`` and ``rigctl-viewer`` open
@@ -38,7 +39,7 @@ import msgspec
 
 from rigctl.config import layout
 from rigctl.ipc import access_list, record, whole_file, writers
-from rigctl.ipc.folder_files import DESIGN, RECORDED, REFUSED, FolderFiles
+from rigctl.ipc.folder_files import DESIGN, RECORDED, REFUSED, WAITS, FolderFiles
 from rigctl.ipc.folder_places import ACTIVE, GATEWAY_SOCKET, LOCK, LONGEST_LOCK, daemon_pid, digest
 from rigctl.ipc.ring import RingReader, RingWriter, create, identity
 
@@ -52,6 +53,7 @@ __all__ = [
     "PUBLIC_MODE",
     "RECORDED",
     "REFUSED",
+    "WAITS",
     "AlreadyRunningError",
     "FolderError",
     "RingFile",

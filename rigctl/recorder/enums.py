@@ -9,7 +9,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD, Quality, Slot
-from rigctl.wire.state_message import quality_words
+from rigctl.wire.record_names import quality_words
 
 Names = Mapping[int, str]
 

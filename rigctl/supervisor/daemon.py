@@ -34,14 +34,14 @@ from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
-from rigctl.ipc import ledger
+from rigctl.ipc import ledger, public_slot
 from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.notes import was_taken
 from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
 from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
-from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, REFUSED, AlreadyRunningError, FolderError, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, REFUSED, WAITS, AlreadyRunningError, FolderError, Runtime
 from rigctl.ipc.service_manager import notify, unnotified
 from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
@@ -121,6 +121,8 @@ class Supervisor:
         self._services: dict[str, ServiceProcess] = {}
         self._active: dict[str, Any] = {}
         self._progress: Progress | None = None
+        self._public: public_slot.SlotWriter | None = None
+        self._show_at = 0.0
         self._look_at = 0.0
         self._stalls: dict[str, Stall] = {}  # of the services
 
@@ -150,6 +152,7 @@ class Supervisor:
                 self._watch(records)
                 self._log_events(events)
                 self._feed_watchdog(records)
+                self._show(records)
                 time.sleep(POLL_S)
             return self._stop(records, events)
         except CannotRunError as error:
@@ -157,6 +160,8 @@ class Supervisor:
             raise
         finally:
             self._kill_all()
+            if self._public is not None:
+                self._public.close()
             self._runtime.remove()
             os.close(lock)
 
@@ -164,6 +169,8 @@ class Supervisor:
     def _make_rings(self) -> tuple[RingReader, RingReader]:
         """Create the rings; returns readers of records and events."""
         try:
+            self._public = public_slot.SlotWriter(self._runtime)
+            self._show_awaited("rings in shared memory")
             self._runtime.make_rings(self.settings)
             self._supervision = Supervision(self._runtime.supervision.writer())
             self._progress = Progress(self._runtime, SUPERVISOR, feeds=False)
@@ -199,6 +206,7 @@ class Supervisor:
                 self._spawn(name)
             except OSError as error:
                 raise CannotRunError(f"{settings.rig}: {name} cannot be started: {error.strerror}") from None
+        self._show_awaited("design of the gains")
         self._design()
         if doubt := ledger.clock_doubt(settings, self._active["design"], datetime.now(UTC)):
             self._say(f"WARNING: {doubt}")
@@ -210,8 +218,9 @@ class Supervisor:
             if time.monotonic() > until:
                 raise CannotRunError(f"{settings.rig}: the loop did not start within {limit_s:.0f} s")
             self._watch_services(time.monotonic())
+            self._show(records)
             time.sleep(0.005)
-        self._wait_until_it_answers()
+        self._wait_until_it_answers(records)
         if self._stopping:
             return
         self._say_real_time()
@@ -220,6 +229,8 @@ class Supervisor:
         answers = f"on the sockets of this computer; another program has {listen}" if taken else f"at {listen}"
         warning = "WARNING: " if taken else ""
         self._say(f"{warning}{settings.rig}: DISARMED, {settings.loop.rate_hz} Hz on {channel}, answering {answers}")
+        self._show_at = 0.0
+        self._show(records)
         notify("READY=1")
 
     def _refuse_ended(self) -> None:
@@ -237,12 +248,13 @@ class Supervisor:
             self._runtime.place(REFUSED).unlink(missing_ok=True)
         return why
 
-    def _wait_until_it_answers(self) -> None:
+    def _wait_until_it_answers(self, records: RingReader) -> None:
         """Wait for the processes that an operator needs; the daemon goes on without a service after a time."""
         until = time.monotonic() + START_LIMIT_S
         while not self._stopping and (missing := self._unshown()):
             self._refuse_ended()
             self._watch_services(now := time.monotonic())
+            self._show(records, " and ".join(missing))
             if now > until:
                 units = ", ".join(f"rigctl-{name}@{self.settings.rig}" for name in missing if name in self._services)
                 see = f"; see journalctl -u {units}" if units else ""
@@ -375,6 +387,9 @@ class Supervisor:
         return True
 
     def _spawn(self, name: str) -> None:
+        if name == "control":
+            with contextlib.suppress(OSError):  # what the loop before has waited for
+                self._runtime.place(WAITS).unlink(missing_ok=True)
         command = [sys.executable, "-m", self._modules[name], str(self._runtime.directory)]
         stdin = subprocess.PIPE if name == "control" else subprocess.DEVNULL
         process = subprocess.Popen(command, stdin=stdin, start_new_session=True, env=unnotified())
@@ -403,6 +418,30 @@ class Supervisor:
             with contextlib.suppress(BrokenPipeError):
                 stdin.write(msgspec.json.encode(gains) + b"\n")
                 stdin.flush()
+
+    # -- public slot ----------------------------------------------------------------------------------------
+    def _show(self, records: RingReader, waits_for: str = "") -> None:
+        """Write the public slot ten times a second: the newest record, and what a start waits for."""
+        if self._public is None or (now := time.monotonic()) < self._show_at:
+            return
+        self._show_at = now + LOOK_S
+        newest = records.latest()
+        waits_for = self._loop_waits_for(newest) or waits_for
+        self._public.write(public_slot.slot_of(newest, time.monotonic_ns(), Flag.BRAKE_FAILS, waits_for))
+
+    def _show_awaited(self, waits_for: str) -> None:
+        """Write the public slot of a start without a record yet."""
+        if self._public is not None:
+            self._public.write(public_slot.PublicSlot(time.monotonic_ns(), waits_for=waits_for))
+
+    def _loop_waits_for(self, newest: np.void | None) -> str:
+        """What the loop waits for that starts, or has ended and is started anew; empty while it runs."""
+        child = self._children["control"]
+        if child.retry_at is not None:
+            return "" if self._ending else "next start of the loop"
+        if newest is not None and int(newest["t_ns"]) >= child.started * 1e9:
+            return ""
+        return str(self._runtime.known(WAITS).get("waits_for", "")) or "start of the loop"
 
     # -- watch ----------------------------------------------------------------------------------------------
     def _lost(self) -> bool:
@@ -571,6 +610,7 @@ class Supervisor:
                 signals = self._signals
                 process.send_signal(signal.SIGTERM)
             self._log_events(events)
+            self._show(records)
             time.sleep(POLL_S)
         return process.returncode == 0
 

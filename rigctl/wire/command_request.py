@@ -25,7 +25,7 @@ from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.meanings import VERBS as MEANINGS
-from rigctl.wire.state_message import ALIVE_NS
+from rigctl.wire.record_names import ALIVE_NS
 from rigctl.wire.user_name import LONGEST
 
 VERBS = {verb.name.lower(): verb for verb in Verb}

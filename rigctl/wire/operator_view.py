@@ -106,10 +106,7 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
     ``lock_out``: ``safety.lock_out`` of the rig file.
     """
     if state.get("mode") is None or not state.get("loop_alive"):
-        moves = _IF_IT_MOVES[BRAKE_FAILS in state.get("flag_names", [])]
-        steps = Instruction(_HALL), Instruction(f"If the load moves: {moves}."), _START
-        return OperatorView((), "not known: the loop writes no records", "", steps, KEEP_OUT,
-                            "what the rig does is not known", (mode(state),), "the loop writes no records")  # fmt: skip
+        return _without_loop(state)
     causes, flags = _causes(state, alarms), state.get("flag_names", [])
     verbs = refused_now(state)
     entry, why = _entry(state, flags, lock_out)
@@ -117,6 +114,18 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
     return OperatorView(causes, _does(state, flags), _blocks(state, causes, verbs),
                         _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, after,
                         priority)  # fmt: skip
+
+
+def _without_loop(state: dict[str, Any]) -> OperatorView:
+    """The view while no record comes: the daemon starts, or its loop is started anew, or neither."""
+    moves, waits_for = _IF_IT_MOVES[BRAKE_FAILS in state.get("flag_names", [])], state.get("waits_for")
+    wait = f"Wait for: {waits_for}. If it does not come: see the daemon's log."
+    last = Instruction(wait, places=(HandsAt.COMPUTER,)) if waits_for else _START
+    steps = Instruction(_HALL), Instruction(f"If the load moves: {moves}."), last
+    starts = bool(waits_for) and state.get("mode") is None
+    does = "not known: this start has not enabled the drive" if starts else "not known: the loop writes no records"
+    text = f"the daemon starts, and waits for: {waits_for}" if starts else "the loop writes no records"
+    return OperatorView((), does, "", steps, KEEP_OUT, "what the rig does is not known", (mode(state),), text)
 
 
 def _active(state: dict[str, Any]) -> list[dict[str, Any]]:

@@ -19,27 +19,15 @@ from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import Action, Row
 from rigctl.diagnosis.diagnose import Culprit
 from rigctl.diagnosis.part import Part
-from rigctl.ipc.record import NEVER_AGE_NS, Flag, Quality
+from rigctl.ipc.record import NEVER_AGE_NS, Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us
 from rigctl.wire.meanings import Rows
+from rigctl.wire.record_names import ALIVE_NS, named, quality_words
 
-ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 WINDOW_NS = 1_000_000_000
 TEXT_BYTES = 80  # of a row's text in an event
 RECORDER_SILENT_NS = 5_000_000_000
-
-
-def quality_words(bits: int) -> str:
-    """``good``, or the names of the quality bits that are set."""
-    return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
-
-
-def _name(kind: type[Mode | HeldBy | LoadAtRest | PowerOff | Fault], number: int) -> str:
-    try:
-        return kind(number).name
-    except ValueError:
-        return f"UNKNOWN_{number}"
 
 
 SILENT_LOOP: dict[str, Any] = {
@@ -222,16 +210,16 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "wall_ns": wall_ns - age_ns,
         "age_ms": max(0.0, round(age_ns / 1e6, 3)),
         "loop_alive": age_ns < ALIVE_NS,
-        "mode": _name(Mode, values["mode"]),
+        "mode": named(Mode, values["mode"]),
         "mode_code": values["mode"],
-        "held_by": _name(HeldBy, values["held_by"]),
+        "held_by": named(HeldBy, values["held_by"]),
         "held_by_code": values["held_by"],
-        "power_off": _name(PowerOff, values["power_off"]) if values["power_off"] else None,
+        "power_off": named(PowerOff, values["power_off"]) if values["power_off"] else None,
         "power_off_code": values["power_off"],
-        "load_at_rest": _name(LoadAtRest, values["load_at_rest"]),
+        "load_at_rest": named(LoadAtRest, values["load_at_rest"]),
         "load_at_rest_code": values["load_at_rest"],
         **_drive_of(values),
-        "fault": _name(Fault, values["fault"]) if values["fault"] else None,
+        "fault": named(Fault, values["fault"]) if values["fault"] else None,
         "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
         "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
@@ -316,6 +304,12 @@ DERIVED: Rows = (
     ("wall_ns", "integer", "ns", "t_ns on the wall clock, since 1970 UTC"),
     ("age_ms", "number?", "ms", "age of this record when the message was made, 0 at least; null without a record"),
     ("loop_alive", "boolean", "", f"the record is younger than {ALIVE_NS // 1_000_000} ms"),
+    (
+        "waits_for",
+        "string?",
+        "",
+        "while no record comes: what the start of the daemon, or of a new loop, waits for, in words; else null",
+    ),
     ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
     ("mode_code", "integer", "", "its number, as in the record"),
     ("held_by", "string", "", "what carries the load: MOTOR, BRAKE, or the step between; NOTHING in a mode that moves"),

@@ -15,6 +15,7 @@ MODE_STYLE = {
     "COMPENSATING": "bold black on green",
     "RELEASING": "bold black on yellow",
     "FAULT": "bold white on red",
+    "STARTING": "bold black on yellow",
 }
 NOTHING = "-"
 BAND_PCT = 5.0  # the requirement: largest error of the vertical tension, of its target
@@ -28,9 +29,9 @@ def number(value: Any, digits: int, unit: str = "", *, sign: bool = False) -> st
 
 
 def mode(state: dict[str, Any]) -> str:
-    """The mode, or that the loop does not run."""
+    """The mode, or that the loop does not run, or that the daemon starts."""
     if state.get("mode") is None:
-        return "NO LOOP"
+        return "STARTING" if state.get("waits_for") else "NO LOOP"
     return str(state["mode"]) if state["loop_alive"] else "LOOP STOPPED"
 
 
@@ -122,10 +123,12 @@ def mode_style(state: dict[str, Any]) -> str:
 
 def why(state: dict[str, Any]) -> str:
     """What is wrong, in one line; empty when nothing is."""
+    waits_for = state.get("waits_for")
     if state.get("mode") is None:
-        return "the control process has written no record yet"
+        return f"the daemon starts, and waits for: {waits_for}" if waits_for else "the loop has written no record yet"
     if not state["loop_alive"]:
-        return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s"
+        again = f"; it is started anew, and waits for: {waits_for}" if waits_for else ""
+        return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s{again}"
     latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
     first = next(iter(_active(state)), None)
     if first is None or first.get("fault") == state["fault"]:

@@ -26,7 +26,7 @@ from rigctl.page.guard import Guard
 from rigctl.page.page_commands import PageCommands
 from rigctl.page.picture import Picture
 from rigctl.page.server import Page
-from rigctl.wire.state_message import quality_words
+from rigctl.wire.record_names import quality_words
 from tests.builders.offered import offered
 from tests.builders.waiting import until
 

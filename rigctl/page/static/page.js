@@ -137,7 +137,7 @@ function look() {
   panel.steps([
     { text: "Keep out of the hall.", verb: "" },
     { text: state?.flag_names?.includes("brake_fails") ? "If the load moves: support the payload from below, the brake does not hold it." : "If the load moves: press the emergency stop.", verb: "" },
-    { text: silent ? "At the rig's computer: rigctl status; start the page anew." : "At the rig's computer: rigctl doctor; start the daemon anew.", verb: "" },
+    { text: silent ? "At the rig's computer: rigctl status; start the page anew." : state?.waits_for ? `Wait: the loop is started anew, and waits for: ${state.waits_for}.` : "At the rig's computer: rigctl doctor; start the daemon anew.", verb: "" },
   ]);
   panel.fit();
 }

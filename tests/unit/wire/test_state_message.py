@@ -36,7 +36,8 @@ from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import percentiles_us
 from rigctl.wire.event_message import event_message
-from rigctl.wire.state_message import ALIVE_NS, Recent, TripEvents, quality_words, state_of, warnings_of
+from rigctl.wire.record_names import ALIVE_NS, quality_words
+from rigctl.wire.state_message import Recent, TripEvents, state_of, warnings_of
 from tests.builders.paths import ROOT
 
 NOW, WALL = 10_000_000_000, 1_700_000_000_000_000_000
