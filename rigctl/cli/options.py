@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
@@ -115,9 +115,14 @@ def check_output(option: str, file: pathlib.Path | None) -> None:
 
 
 @contextlib.contextmanager
-def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
-    """A client; without a daemon, or with a wrong endpoint or rig, the command ends with one line."""
-    from rigctl.client.connection import ChoiceError, Client, NoDaemonError
+def daemon(
+    connect: str | None, rig: str | None, otherwise: Callable[[str, Exception], NoReturn] | None = None
+) -> Iterator[Client]:
+    """A client; without a daemon, or with a wrong endpoint or rig, the command ends with one line.
+
+    ``otherwise``: ends it in place of the line where nothing answers at the endpoint, or the key for it is missing.
+    """
+    from rigctl.client.connection import ChoiceError, Client, NoDaemonError, NoKeyError, OtherRigError, endpoint_of
 
     try:
         with Client(connect, rig) as client:
@@ -125,6 +130,10 @@ def daemon(connect: str | None, rig: str | None) -> Iterator[Client]:
                 sys.stderr.write(f"rigctl: {words}\n")
             yield client
     except NoDaemonError as error:
+        if otherwise is not None and not isinstance(error, OtherRigError):
+            otherwise(endpoint_of(connect), error)
         end(BAD, str(error))
     except ChoiceError as error:
+        if otherwise is not None and isinstance(error, NoKeyError):
+            otherwise(endpoint_of(connect), error)
         end(USAGE, str(error))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from rigctl.cli.label_grid import grid
 from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say, say_json
 from rigctl.config.quantity import count
 from rigctl.wire import state_words as figures
@@ -15,13 +16,11 @@ from rigctl.wire import state_words as figures
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
-    from rich.text import Text
 
     from rigctl.wire.alarms import Alarm
 
 LINES = 8
 """Of the terminal, at most, below the head (rig, mode and load), on 80 columns or more."""
-_LABEL = 9
 
 All = Annotated[bool, typer.Option("--all", help="Show every cause, alarm, value and warning.")]
 
@@ -29,11 +28,17 @@ All = Annotated[bool, typer.Option("--all", help="Show every cause, alarm, value
 def status(all_: All = False, json: Json = False, connect: Connect = None, rig: Rig = None) -> None:
     """Show mode, what holds the load, what is wrong, what to do next, alarms and tension.
 
-    At most eight lines below rig, mode and load; the last one says how many more --all shows.
+    At most eight lines below rig, mode and load; the last one says how many more --all shows. Where no daemon answers,
+    at most eight lines say why, and what this computer shows of the rig without the gateway.
     """
     from rigctl.wire.alarms import Alarms
 
-    with daemon(connect, rig) as client:
+    def otherwise(endpoint: str, error: Exception) -> NoReturn:
+        from rigctl.cli.unanswered import end_unanswered
+
+        end_unanswered(endpoint, rig, error, json=json)
+
+    with daemon(connect, rig, otherwise) as client:
         known = Alarms(client.past_events()) if not json else None
         state = client.state()
         active = client.active() if not json else {}
@@ -156,7 +161,7 @@ def _show(
     from rich.text import Text
 
     console = Console(highlight=False)
-    whole = _grid([("rig", Text(f"{state['rig']} at {endpoint}"))])
+    whole = grid([("rig", Text(f"{state['rig']} at {endpoint}"))])
     for label, value, style in rows(state, alarms, now_ns, lock_out):
         whole.add_row(label, Text(value, style))
     if all_:
@@ -179,22 +184,11 @@ def _brief(
     seen = view(state, alarms, lock_out)
     mode = Text.assemble((f" {figures.mode(state)} ", figures.mode_style(state)), f"  {seen.entry}: {seen.entry_why}")
     load = "; ".join(filter(None, (figures.held(state), figures.ending(state)))) if state["loop_alive"] else seen.does
-    table = _grid([("rig", Text(f"{state['rig']} at {endpoint}")), ("mode", mode), ("load", Text(load))])
+    table = grid([("rig", Text(f"{state['rig']} at {endpoint}")), ("mode", mode), ("load", Text(load))])
 
     def height(text: str) -> int:
-        return len(console.render_lines(_grid([("", Text(text))])))
+        return len(console.render_lines(grid([("", Text(text))])))
 
     for label, value, style in brief_rows(state, alarms, now_ns, lock_out, height):
         table.add_row(label, Text(value, style))
-    return table
-
-
-def _grid(first: Sequence[tuple[str, Text]]) -> Table:
-    from rich.table import Table
-
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True, min_width=_LABEL)
-    table.add_column(overflow="fold")
-    for row in first:
-        table.add_row(*row)
     return table

@@ -13,7 +13,7 @@ from rigctl.ipc import standard_output
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:
-    from rigctl.client.connection import Client
+    from rigctl.client.connection import Client, NoDaemonError
     from rigctl.client.rig_view import RigFollower, RigView
 
 REFRESH_S = 0.1
@@ -40,7 +40,7 @@ def _daemon(connect: str | None, rig: str | None) -> Client:
     """A client of the daemon, as soon as it runs; a wrong endpoint or rig ends the command with one line."""
     from rigctl.client.connection import ChoiceError, Client, NoDaemonError, endpoint_of
 
-    waiting = False
+    waiting = ""
     while True:
         if standard_output.nobody_reads():
             end(DONE)
@@ -48,13 +48,27 @@ def _daemon(connect: str | None, rig: str | None) -> Client:
             return Client(connect, rig)
         except ChoiceError as error:
             end(USAGE, str(error))
-        except NoDaemonError:
-            if not waiting:  # printed to standard error, as standard output may be JSON for a program
+        except NoDaemonError as error:
+            # Printed to standard error, as standard output may be JSON for a program.
+            if not waiting:
                 of = f" of {wanted}" if (wanted := rig or os.environ.get("RIGCTL_RIG")) else ""
                 sys.stderr.write(f"waiting for a daemon{of} at {endpoint_of(connect)}; Ctrl-C ends\n")
+            if (why := _why(endpoint_of(connect), rig, error)) != waiting:
+                sys.stderr.write(f"{why}\n")
                 sys.stderr.flush()
-            waiting = True
+            waiting = why
             time.sleep(RETRY_S)
+
+
+def _why(endpoint: str, rig: str | None, error: NoDaemonError) -> str:
+    """Why no daemon answers, without figures, so that it changes with the cause alone."""
+    from rigctl.cli.unanswered import cause_of
+    from rigctl.client.connection import OtherRigError
+
+    if isinstance(error, OtherRigError):
+        return str(error)
+    found = cause_of(endpoint, rig, error)
+    return f"{found.cause.value}: {found.wrong}; load: {found.does}"
 
 
 def _print_states(follower: RigFollower) -> None:
@@ -67,7 +81,12 @@ def _print_states(follower: RigFollower) -> None:
 def line(view: RigView) -> str:
     """The view in one line."""
     if view.is_silent or view.state is None:
-        return f"no data for {view.silent_s:.0f} s from {view.endpoint}"
+        from rigctl.cli.unanswered import line as unanswered_line
+        from rigctl.client.unanswered import unanswered_here
+
+        found = unanswered_here(view.endpoint, view.rig)
+        why = f"  {unanswered_line(found)}" if found is not None else ""
+        return f"no data for {view.silent_s:.0f} s from {view.endpoint}{why}"
     state = view.state
     if state.get("mode") is None:
         return f"{figures.mode(state)}  {figures.why(state)}"

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
+from rigctl.cli.unanswered import rows
+from rigctl.client.unanswered import unanswered_here
 from rigctl.config.quantity import count, significant
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarm_words import alarm_rows, banner_rows, culprit_rows
@@ -108,6 +110,8 @@ class Screen:
         head = [self._title(width)]
         if view.is_silent or state is None:
             head += self._banner(f"NO DATA FOR {view.silent_s:.0f} s", "bold white on red", width)
+            if (found := unanswered_here(view.endpoint, view.rig)) is not None:
+                head += [_row(*row) for row in rows(found)]
             head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones, old", "bold red"))
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)

@@ -5,7 +5,6 @@ Zenoh runs in client mode: once connected it reconnects by itself after a restar
 
 from __future__ import annotations
 
-import contextlib
 import datetime
 import os
 import pathlib
@@ -73,6 +72,15 @@ _Some = TypeVar("_Some")
 
 class NoDaemonError(RuntimeError):
     """No daemon answers; ``str()`` is one line."""
+
+    def __init__(self, text: str, *, connected: bool = False) -> None:
+        """``connected``: a router has taken the session, and shows no rig to this client."""
+        super().__init__(text)
+        self.connected = connected
+
+
+class OtherRigError(NoDaemonError):
+    """Daemons answer, and none of them is the one meant; ``str()`` is one line."""
 
 
 class ChoiceError(ValueError):
@@ -233,7 +241,7 @@ class Client:
 
     def _check_run(self) -> None:
         if self._run_id is not None and (found := self.active().get("run_id")) != self._run_id:
-            raise NoDaemonError(
+            raise OtherRigError(
                 f"another daemon answers at {self.endpoint}: found run {found}, expected run {self._run_id}; "
                 f"it was not commanded"
             )
@@ -251,18 +259,28 @@ class Client:
             return self._session
 
     def _answering_here(self, wanted: str | None) -> str:
-        """Name of the rig whose command socket answers, if it is the one meant; empty: Zenoh has to find it."""
+        """Name of the rig whose command socket answers, if it is the one meant; empty: Zenoh has to find it.
+
+        Raises:
+            NoDaemonError: the gateway hangs.
+        """
         rig = self.route.rig
         if wanted != rig and (wanted is not None or not self.route.is_alone):
             return ""
         if (place := self.route.command_socket(rig)) is None:
             return ""
-        local = CommandConnections(place)
-        with contextlib.suppress(OSError):
+        local, hangs = CommandConnections(place), False
+        try:
             if local.ask(STATE, None, ASK_S)[0]:
                 self._local = local
                 return rig
+        except (TimeoutError, BlockingIOError):
+            hangs = True  # and its router with it, which is in the same process
+        except OSError:
+            pass
         local.close()
+        if hangs:
+            raise self._nobody()
         return ""
 
     def _choose(self, wanted: str | None) -> str:
@@ -276,7 +294,7 @@ class Client:
             return wanted
         rigs = _rigs(self.session)
         if wanted is not None and rigs and wanted not in rigs:
-            raise NoDaemonError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
+            raise OtherRigError(f"no daemon of {wanted} answers at {self.endpoint}, only of {', '.join(rigs)}")
         if not rigs:
             raise self._nobody()
         if wanted is None and len(rigs) > 1:
@@ -284,7 +302,7 @@ class Client:
         return wanted or rigs[0]
 
     def _nobody(self) -> NoDaemonError:
-        return NoDaemonError(f"no daemon answers at {self.endpoint} ({ABSENT})")
+        return NoDaemonError(f"no daemon answers at {self.endpoint} ({ABSENT})", connected=self._session is not None)
 
     @property
     def rig(self) -> str:

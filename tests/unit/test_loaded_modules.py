@@ -35,7 +35,7 @@ SLOW = {"numpy", "zenoh", "pydantic", "pydantic_core", "scipy", "yaml", "rich", 
         "canopen", "cantools", "mcap", "google", "matplotlib", "numba", "control", "filterpy", "starlette",
         "hil"}  # fmt: skip
 PARSERS = {"typer", "click", "argparse", "msgspec", "dataclasses", "inspect"}
-STATUS_NEEDS = {"numpy", "zenoh", "asyncio", "pydantic", "pydantic_core"}  # typer loads pydantic
+STATUS_NEEDS = {"numpy", "zenoh", "asyncio", "pydantic", "pydantic_core", "rich"}  # typer loads pydantic
 SHARED = {
     **dict.fromkeys(("arm", "tension", "release", "hold", "disarm", "reset", "carry", "lower", "brake-test", "move",
                      "target", "confirm-stroke", "tare",

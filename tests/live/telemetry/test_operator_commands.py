@@ -96,7 +96,7 @@ def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str
     assert result.stderr.count("\n") == 1
 
 
-@pytest.mark.parametrize("arguments", [("status",), ("arm",), ("target", "300"), ("tension", "--wait")])
+@pytest.mark.parametrize("arguments", [("arm",), ("target", "300"), ("tension", "--wait")])
 def test_no_daemon_is_one_line_and_exit_1(shared: Daemon, arguments: tuple[str, ...]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     result = shared.cli(*arguments, RIGCTL_CONNECT=endpoint)
@@ -156,7 +156,9 @@ def test_watch_waits_for_a_daemon(options: tuple[str, ...]) -> None:
         late.start_gateway()
         assert "DISARMED" in watching.stdout.readline()
         watching.send_signal(signal.SIGINT)
-        assert watching.communicate(timeout=patience_s())[1] == ""  # it was printed once
+        waited = watching.communicate(timeout=patience_s())[1].splitlines()
+        assert waited[0].startswith("gateway: it has ended: nothing is published, no command but HOLD is taken")
+        assert len(waited) == len(set(waited)) <= 2  # each was printed once; the gateway may be met as it starts
         assert watching.returncode == 0
     finally:
         watching.kill()
