@@ -1,8 +1,8 @@
 """What every user of this computer may read of a rig without its gateway: 64 bytes in the run-time folder, mode 0644.
 
 The supervisor writes them each 100 ms, from the newest record of the loop. It is the process that a start begins with,
-and lives on while gateway or loop end or hang; without it there is no loop. The folder is its user's alone, so nobody
-else can have made the file, and a reader opens it for reading only: he can neither write to it nor hold up the writer.
+and lives on while gateway or loop end or hang; without it there is no loop. The folder is its user's alone, so no
+other user can have made the file; a reader opens it for reading only, so that it cannot hold up the writer.
 
 The first field is the CRC-32 of all others. A reader that meets the writer finds another one, and reads again.
 """
