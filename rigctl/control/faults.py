@@ -5,6 +5,7 @@ The rows of `rigctl.control.safety.table` give the value watched for each, with 
 
 from __future__ import annotations
 
+import re
 from enum import IntEnum, IntFlag
 
 
@@ -381,6 +382,14 @@ class Fault(IntEnum):
     def blocks_reset(self) -> bool:
         """A reset is refused while the cause is present."""
         return Trait.BLOCKS_RESET in self.traits
+
+
+_AT_ITS_TIME = re.compile(r", the rope is slack in about \d+ s")
+
+
+def lasting(words: str) -> str:
+    """Words of an event without those that are true only at its time: the state counts down until the rope is slack."""
+    return _AT_ITS_TIME.sub("", words)
 
 
 EACH_SECOND = ("BUS_ERROR", "SEND_FAILED", "RECEIVE_FAILED")

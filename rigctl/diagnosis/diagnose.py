@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.control.events import Kind, fault_text
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, lasting
 from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.residuals import Residuals, residuals
 from rigctl.diagnosis.table import TABLE
@@ -54,7 +54,7 @@ def _words(window: TripWindow, found: Residuals) -> str:
     trip = window.trip
     if trip.kind == Kind.EXCEPTION:
         return trip.text
-    return fault_text(found.fault, trip.value, trip.limit, trip.text)
+    return lasting(fault_text(found.fault, trip.value, trip.limit, trip.text))
 
 
 def _follow(window: TripWindow, found: Residuals) -> tuple[str, ...]:

@@ -15,7 +15,7 @@ from typing import Any
 
 from rigctl.config.quantity import Number
 from rigctl.config.signals import WATCHED
-from rigctl.control.faults import EACH_SECOND, Fault, Trait
+from rigctl.control.faults import EACH_SECOND, Fault, Trait, lasting
 from rigctl.ipc.record import NEVER_AGE_NS
 
 ROWS = 256
@@ -194,7 +194,7 @@ def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
         return Alarm(cause, priority, text, fault.remedy, at, at, stands=not (momentary or over), onsets_ns=(at,))
     fault, about = fault_of(event.get("a")), str(event.get("about", ""))
     for prefix in (f"trip {fault.name}: ", f"{fault.name} is active: ", "limit: "):
-        text = text.removeprefix(prefix)
+        text = lasting(text.removeprefix(prefix))
     action = event.get("b")
     priority = Priority.LOW if kind == "LIMIT" else Priority.HIGH
     if kind == "ESCALATION" or (isinstance(action, int) and action >= _POWER_GOES_OFF):

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rigctl.control.checks import Check
 from rigctl.control.drive_power import drive_shown
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, lasting
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import Action, Row
 from rigctl.diagnosis.diagnose import Culprit
@@ -89,7 +89,7 @@ class TripEvents:
             return ""
         if fault not in self._trips:  # the ring no longer holds its event
             return known.name.lower().replace("_", " ")
-        return fault_text(known, *self._trips[fault])
+        return lasting(fault_text(known, *self._trips[fault]))
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _cause(row: Row, cause: Cause | None, wall_ns: int) -> dict[str, Any]:
     plain = row.fault.name.lower().replace("_", " ")
     return {
         "fault": row.fault.name,
-        "text": plain if cause is None else fault_text(row.fault, cause.value, limit, cause.text),
+        "text": plain if cause is None else lasting(fault_text(row.fault, cause.value, limit, cause.text)),
         "action": row.action.name,
         "value": None if cause is None else cause.value,
         "limit": limit,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from hil.faults import in_device, stand
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
+from rigctl.cli import status
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
@@ -16,7 +18,10 @@ from rigctl.control.machine import LOWERED_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
+from rigctl.page.operator_panel import answers, devices
+from rigctl.wire.alarms import as_message
 from tests.builders.branches import Started
+from tests.loop.test_causes import Shown
 
 SLIP_MM_S = 0.3
 
@@ -68,6 +73,24 @@ def test_a_slip_is_reported_with_its_speed_and_the_time_until_the_rope_is_slack(
     assert record["sink_mm_s"] == pytest.approx(-SLIP_MM_S, rel=0.05)
     left_s = (slipping.rig.truth.tension_n - 5.0) / 5.96 / SLIP_MM_S
     assert record["slack_s"] == pytest.approx(left_s, rel=0.05)
+
+
+def test_page_and_status_show_one_time_until_the_rope_is_slack_and_count_it_down(slipping: Lockstep) -> None:
+    """99 s, 98 s and 76 s were on one page: the texts of trip and cause had kept the figure of their own time."""
+    shown, left_s = Shown(slipping), list[float]()
+    for _ in range(3):
+        slipping.run(5.0)
+        state = shown.state()
+        alarms, now_ns = shown.alarms(state)
+        log = shown.events(now_ns)
+        assert any("is slack in about 16" in event["text"] for event in log), "as of its time"
+        page = [answers(state, alarms), devices(state, {}), [as_message(row, now_ns, state) for row in alarms]]
+        printed = [*status.rows(state | {"warnings": []}, alarms, now_ns), page, state["fault_text"], state["causes"]]
+        figures = {float(found) for found in re.findall(r"slack in (?:about )?(\d+) s", repr(printed))}
+        assert figures == {float(f"{state['slack_s']:.0f}")}
+        left_s += figures
+    assert left_s == sorted(left_s, reverse=True)
+    assert left_s[0] - left_s[-1] == pytest.approx(10.0, abs=2.0)  # of the speed's noise
 
 
 @pytest.mark.parametrize("speed_mm_s", [0.03, *(pytest.param(mm_s, marks=pytest.mark.long) for mm_s in (0.1, 0.19))])

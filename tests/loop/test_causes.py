@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -19,10 +20,12 @@ from rigctl.devices import objects
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
+from rigctl.gateway.streams import past_messages
 from rigctl.ipc.ledger import Standing
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
+from rigctl.wire.alarms import Alarm, Alarms
 from rigctl.wire.command_request import NewestRecord, Request, answer
 from rigctl.wire.state_message import Causes
 
@@ -40,6 +43,16 @@ class Shown:
     def state(self) -> dict[str, Any]:
         made = self.view.make(self._rig.clock.now(), 0, Standing(), None, PreflightVerdict(), self._cursor)
         return dict(msgspec.json.decode(made))
+
+    def events(self, now_ns: int) -> list[dict[str, Any]]:
+        """Those that the rings hold, at ``now_ns`` (wall clock)."""
+        rings = self._rig.runtime
+        return past_messages(rings.events.reader(), rings.notes.reader(), 0, 0, now_ns - self._rig.clock.now(), 1)
+
+    def alarms(self, state: dict[str, Any]) -> tuple[list[Alarm], int]:
+        """The open rows with a state, and the wall clock."""
+        now_ns = time.time_ns()
+        return Alarms(self.events(now_ns)).rows(state, now_ns), now_ns
 
 
 @pytest.fixture
