@@ -17,7 +17,7 @@ from rigctl.control.faults import Fault, Trait
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
-from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
+from rigctl.control.safety import LINGERS, MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
 from rigctl.devices import can_errors, emergency
@@ -155,11 +155,19 @@ def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
         found=text and f" ({text})",
         unit=_unit_of(text),
         seen=_SEEN.get(value, "input not known"),
-        speed=f" ({Number(value):.2f} mm/s)" if limit else "",
         state=_node_words(value, limit),
         missed=_missed_words(value, limit, text),
+        unasked=_unasked_words(value, limit, text),
         emergency=_emergency_words(value),
     )
+
+
+def _unasked_words(value: float, limit: float, text: str) -> str:
+    """Of a drive that has power without a command; one that does not show that it has gone off is commanded by none."""
+    if text == LINGERS:
+        return ""
+    speed = f" ({Number(value):.2f} mm/s)" if limit else ""
+    return f", and this daemon has not commanded it{speed}: find who commands the drive, withdraw the tool, then reset"
 
 
 def _emergency_words(value: float) -> str:

@@ -266,10 +266,7 @@ class Fault(IntEnum):
     # The drive is enabled, or moves under power, without our command
     DRIVE_UNASKED = (
         35,
-        (
-            "{text}, and this daemon has not commanded it{speed}: find who commands the drive, withdraw the tool, then "
-            "reset"
-        ),
+        "{text}{unasked}",
         "Find who commands the drive, withdraw the tool, then reset.",
         Trait.BLOCKS_RESET,
     )

@@ -147,7 +147,7 @@ _LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
 _LIMITS = "a limit of its own is active (statusword bit 11)"
 _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
 _ELSEWHERE = "the drive has been enabled by somebody else"
-_LINGERS = "the drive does not show that it has gone off though it is commanded to"
+LINGERS = "the drive does not show that it has gone off though it is commanded to"
 SPEED, POSITION = "speed", "position"  # by which the drive misses its command
 RUNAWAY, MOVES_OFF = "speed grows", "moves though off"
 _POWERED = "the stroke moves under power"
@@ -205,7 +205,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             bars=Bars.NEVER),
         Row(Fault.DRIVE_REFUSES, FieldValue("drive_ignores"), 0, DRIVE_GRACE_NS, _ARMED, "", lost, _IGNORES),
         Row(Fault.DRIVE_UNASKED, FieldValue("drive_unasked"), 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
-        Row(Fault.DRIVE_UNASKED, FieldValue("drive_lingers"), 0, LINGER_NS, _UNASKED, "", lost, _LINGERS,
+        Row(Fault.DRIVE_UNASKED, FieldValue("drive_lingers"), 0, LINGER_NS, _UNASKED, "", lost, LINGERS,
             bars=Bars.LASTING),
         Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),

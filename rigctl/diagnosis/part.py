@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from rigctl.config.signals import WATCHED
+from rigctl.control.faults import EACH_SECOND, Fault, Trait
+
 
 class Part(StrEnum):
     """A part; the value is what the operator reads."""
@@ -38,3 +41,10 @@ OF_DEVICE = {
     "second_force": Part.SECOND_FORCE,
 }
 """By the device's section in the rig file."""
+FROM_BUS = frozenset({
+    *(fault.name for fault in Fault if Trait.DEVICE_SILENT in fault.traits), Fault.DRIVE_UNASKED.name,
+    Fault.LIMIT_UNSEEN.name, *EACH_SECOND, "SETTING_LOST",
+    *(f"{Fault.LIMIT.name} {signal} above" for signal in WATCHED if signal.endswith("_age_ms") or "frames" in signal),
+})  # fmt: skip
+"""Alarms of a bus that carries nothing, by their cause: a device that is not heard shows neither that it has gone off
+nor that it keeps its settings. None of them has a cause of its own while the bus is the culprit."""

@@ -22,6 +22,9 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Event, Mode
+from rigctl.diagnosis.diagnose import diagnose
+from rigctl.diagnosis.window import around, noted
+from rigctl.diagnosis.window import trips as first_trips
 from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
@@ -160,6 +163,7 @@ class Trips:
             if item.seq and item.source not in ("commands", "holds") and group.start_ns <= item.t_ns <= group.end_ns
         ]
         active = runtime.known(ACTIVE)
+        file.describe("culprit", self._culprit(group, slots["records"]))
         file.describe(
             "rigctl",
             {
@@ -189,6 +193,18 @@ class Trips:
         file.add(sorted(messages, key=lambda message: message.wall_ns))
         file.finish(part_seal.sealer(self._settings))
         return len(slots["records"]), len(slots["frames"])
+
+    def _culprit(self, group: Group, records: npt.NDArray[np.void]) -> dict[str, str]:
+        """The part that the first trip is about, as the running rig names it; empty for one whose event is lost."""
+        events = self._runtime.events.reader(from_start=True)
+        events.seek(group.start_ns)
+        known = noted(events.read())
+        trip = next((trip for trip in first_trips(known) if trip.t_ns >= group.triggers[0].t_ns), None)
+        if trip is None or trip.t_ns > group.end_ns:
+            return {}
+        found = diagnose(around(trip, self._settings, known, records))
+        return {"parts": " or ".join(found.parts), "text": found.text, "question": found.question,
+                "first": found.first, "follows": " ".join(found.follows)}  # fmt: skip
 
     def dumps(self) -> list[parts.RecordingPart]:
         """Dumps of this rig in the folder, oldest first."""

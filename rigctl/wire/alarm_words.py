@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rigctl.config.quantity import count
-from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority, follows
+from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority, follows, is_explained, without_steps
 from rigctl.wire.operator_view import OperatorView
 from rigctl.wire.state_words import clock
 
@@ -47,15 +47,16 @@ def listed(rows: Sequence[Alarm], state: dict[str, Any], now_ns: int) -> list[st
         lines, culprit = culprit, []
     for row in rows:
         if follows(row, state):
-            lines, culprit = [*lines, *culprit, f"        follows: {line(row, now_ns)}"], []
+            lines, culprit = [*lines, *culprit, f"        follows: {line(row, now_ns, state)}"], []
         else:
             lines += block(row, now_ns)
     return lines
 
 
-def line(row: Alarm, now_ns: int) -> str:
-    """An alarm in one line."""
-    return f"{row.priority.name} {row.cause}, {times(row)}, {standing(row, now_ns)}: {row.text}"
+def line(row: Alarm, now_ns: int, state: dict[str, Any] | None = None) -> str:
+    """An alarm in one line; without steps of its own where the culprit of ``state`` explains it."""
+    text = without_steps(row.text) if is_explained(row, state) else row.text
+    return f"{row.priority.name} {row.cause}, {times(row)}, {standing(row, now_ns)}: {text}"
 
 
 def tally(alarms: Sequence[Alarm], now_ns: int, barred: int = 0) -> str:
@@ -81,7 +82,7 @@ def alarm_rows(alarms: Sequence[Alarm], now_ns: int, state: dict[str, Any] | Non
     rows = []
     for row in alarms:
         if follows(row, state) and not row.shelved(now_ns):
-            rows.append(("follows", line(row, now_ns), ""))
+            rows.append(("follows", line(row, now_ns, state), ""))
         elif not row.shelved(now_ns):
             rows.append(("alarm", line(row, now_ns), STYLE[row.priority] if row.condition != "cleared" else ""))
     shelved = sum(row.shelved(now_ns) for row in alarms)

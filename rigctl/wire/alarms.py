@@ -17,6 +17,7 @@ from rigctl.config.quantity import Number
 from rigctl.config.signals import WATCHED
 from rigctl.control.faults import EACH_SECOND, Fault, Trait, lasting
 from rigctl.ipc.record import NEVER_AGE_NS
+from rigctl.wire.trust import explained
 
 ROWS = 256
 """Rows kept; anyone on the network may invent causes, and the oldest row makes room."""
@@ -136,6 +137,7 @@ _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
 _NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|times|s)\b)?"
+_STEPS = re.compile(r"[:;,] (?:start the daemon anew|find who commands the drive).*", re.DOTALL)
 _SHELVED = re.compile(r"(\d{1,6}) s: (.*)", re.DOTALL)
 
 
@@ -315,7 +317,19 @@ class Alarms:
 def follows(row: Alarm, state: dict[str, Any] | None) -> bool:
     """Whether an alarm is a consequence of the culprit that the state names."""
     found = (state or {}).get("culprit")
-    return isinstance(found, dict) and row.cause.partition(" ")[0] in found.get("follows", ())
+    if state is None or not isinstance(found, dict):
+        return False
+    return row.cause.partition(" ")[0] in found.get("follows", ()) or is_explained(row, state)
+
+
+def is_explained(row: Alarm, state: dict[str, Any] | None) -> bool:
+    """Whether the culprit that the state names brings an alarm about by its nature."""
+    return state is not None and not explained(state).isdisjoint((row.cause, row.cause.partition(" ")[0]))
+
+
+def without_steps(text: str) -> str:
+    """The words of a cause without what to do about it."""
+    return _STEPS.sub("", text)
 
 
 def _ended(process: str) -> str:
@@ -377,10 +391,15 @@ def _priority_of(cause: dict[str, Any]) -> Priority:
 
 
 def as_message(row: Alarm, now_ns: int, state: dict[str, Any] | None = None) -> dict[str, Any]:
-    """A row for JSON: the page, ``rigctl alarms --json``; ``follows`` from the culprit of ``state``."""
+    """A row for JSON: the page, ``rigctl alarms --json``; ``follows`` from the culprit of ``state``.
+
+    What the culprit explains has the culprit's first step as its remedy.
+    """
     shelf = row.shelf if row.shelved(now_ns) else None
+    own = not is_explained(row, state)
+    text, remedy = (row.text, row.remedy) if own else (without_steps(row.text), (state or {})["culprit"]["first"])
     return {
-        "cause": row.cause, "priority": row.priority.name.lower(), "text": row.text, "remedy": row.remedy,
+        "cause": row.cause, "priority": row.priority.name.lower(), "text": text, "remedy": remedy,
         "count": row.count, "first_ns": row.first_ns, "last_ns": row.last_ns, "value": row.value, "limit": row.limit,
         "stands": row.stands, "latched": row.latched, "watched": row.watched, "follows": follows(row, state),
         "acknowledged": row.acknowledged or None,

@@ -16,7 +16,7 @@ from rigctl.wire.alarms import Alarm, figure, follows
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now
 from rigctl.wire.state_words import drive, ending, held, mode
-from rigctl.wire.trust import DEVICES, doubts, trusted
+from rigctl.wire.trust import DEVICES, doubts, explained, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
 _HALL = "Keep out of the hall."
@@ -134,7 +134,10 @@ def _active(state: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[FaultCause, ...]:
-    """Active causes, and the latched fault where its own cause is gone; none without a latched fault."""
+    """Active causes, and the latched fault where its own cause is gone; none without a latched fault.
+
+    What the culprit explains comes last, after the latched fault.
+    """
     latched = state.get("fault")
     if not latched:
         return ()
@@ -160,7 +163,8 @@ def _causes(state: dict[str, Any], alarms: Sequence[Alarm]) -> tuple[FaultCause,
         value, limit, since = (row.value, row.limit, row.last_ns) if row is not None else ("", "", None)
         result.append(FaultCause(str(latched), str(state.get("fault_text", "")), value, limit, since, False,
                                  fault.remedy, stands=False))  # fmt: skip
-    return tuple(result)
+    folded = explained(state)
+    return tuple(sorted(result, key=lambda cause: cause.fault in folded and cause.fault != latched))
 
 
 def _row_of(fault: str, text: str, alarms: Sequence[Alarm]) -> Alarm | None:
@@ -320,7 +324,7 @@ def _of_other_causes(
     if all(quality.get(device, "good") != "good" for device in DEVICES) and Part.BUS not in parts:
         yield Instruction(_SILENT, places=(Part.BUS,), hands=Hands.MEND)
         return
-    active = [cause for cause in causes if cause.stands]
+    active = [cause for cause in causes if cause.stands and cause.fault not in explained(state)]
     root = next((cause for cause in active if cause.blocks_reset), next(iter(active), causes[0]))
     over = bool(active) and all(cause.fault != state.get("fault") for cause in active) and root.fault not in _SAID
     if root.remedy and (over or not parts):  # the remedy of a symptom leads astray

@@ -6,7 +6,8 @@ from typing import Any
 
 from rigctl.config import quantity
 from rigctl.control.modes import DrivePower, LoadAtRest, PowerOff
-from rigctl.wire.trust import DEVICE_OF, doubts
+from rigctl.wire.alarms import without_steps
+from rigctl.wire.trust import DEVICE_OF, doubts, explained
 
 MODE_STYLE = {
     "DISARMED": "black on white",
@@ -130,7 +131,7 @@ def why(state: dict[str, Any]) -> str:
         again = f"; it is started anew, and waits for: {waits_for}" if waits_for else ""
         return f"no record from the loop for {(state['age_ms'] or 0.0) / 1000:.1f} s{again}"
     latched = f"{state['fault']}: {state['fault_text']}" if state["fault"] else ""
-    first = next(iter(_active(state)), None)
+    first = next((cause for cause in _active(state) if cause.get("fault") not in explained(state)), None)
     if first is None or first.get("fault") == state["fault"]:
         return latched
     strongest = f"{first.get('fault')}: {first.get('text')}"
@@ -141,10 +142,10 @@ def causes(state: dict[str, Any]) -> list[str]:
     """Every active cause, the strongest first, marked where it blocks a reset, or that none is active any more."""
     if not state.get("fault") or not state.get("loop_alive"):
         return []
-    lines = []
+    lines, folded = [], explained(state)
     for cause in _active(state):
-        since = cause.get("since_wall_ns")
-        parts = [f"{cause.get('fault')}: {cause.get('text')}"]
+        since, text = cause.get("since_wall_ns"), str(cause.get("text"))
+        parts = [f"{cause.get('fault')}: {without_steps(text) if cause.get('fault') in folded else text}"]
         parts += [f"since {clock(since)}"] if isinstance(since, int) else []
         parts += ["blocks reset"] if cause.get("blocks_reset") else []
         lines.append(", ".join(parts))

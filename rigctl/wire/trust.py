@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.control.faults import Fault
+from rigctl.diagnosis.part import FROM_BUS, Part
 
 DEVICES = ("tension", "drive", "inclination")
 """The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""
@@ -65,3 +66,14 @@ def trusted(state: dict[str, Any], name: str) -> float | None:
     if DEVICE_OF.get(name) in doubts(state):
         return None
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
+def explained(state: dict[str, Any]) -> frozenset[str]:
+    """Causes that the culprit brings about by its nature: they are named under it and have no steps of their own.
+
+    A drive that is heard, and has not gone off, is a cause of its own.
+    """
+    culprit = state.get("culprit")
+    if not isinstance(culprit, dict) or culprit.get("parts") != [Part.BUS]:
+        return frozenset()
+    return FROM_BUS if "drive" in doubts(state) else FROM_BUS - {Fault.DRIVE_UNASKED.name}

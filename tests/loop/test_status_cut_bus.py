@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.cli import status
 from rigctl.control.modes import Mode
-from rigctl.gateway.streams import past_messages
-from rigctl.wire.alarms import Alarms
 from tests.loop.test_causes import Shown
 
 COLUMNS = 80
 
 
-def printed(rig: Lockstep, shown: Shown, capsys: pytest.CaptureFixture[str], *, all_: bool = False) -> list[str]:
+def printed(shown: Shown, capsys: pytest.CaptureFixture[str], *, all_: bool = False) -> list[str]:
     """The lines that the command prints of the rig as it is."""
-    state, offset = shown.state(), time.time_ns() - rig.clock.now()
-    events = past_messages(rig.runtime.events.reader(), rig.runtime.notes.reader(), 0, 0, offset, 1)
-    now_ns = time.time_ns()
+    state = shown.state()
+    alarms, now_ns = shown.alarms(state)
     capsys.readouterr()
-    status._show(state, "tcp/127.0.0.1:7447", Alarms(events).rows(state, now_ns), now_ns, "Q1", all_=all_)
+    status._show(state, "tcp/127.0.0.1:7447", alarms, now_ns, "Q1", all_=all_)
     return capsys.readouterr().out.splitlines()
 
 
@@ -36,7 +31,7 @@ def test_a_cut_bus_is_what_to_do_first_in_eight_lines(
     shown = Shown(rig)
     rig.hub.tap = lambda _, __: ()
     rig.run(after_s)
-    lines = printed(rig, shown, capsys)
+    lines = printed(shown, capsys)
     assert all(len(line) <= COLUMNS for line in lines)
     labels = [line[:11].strip() for line in lines]
     assert labels[:3] == ["rig", "mode", "load"]
@@ -51,7 +46,7 @@ def test_a_cut_bus_is_what_to_do_first_in_eight_lines(
         "alarms URGENT BUS_SILENT +",
     ):  # fmt: skip
         assert words in text
-    everything = printed(rig, shown, capsys, all_=True)
+    everything = printed(shown, capsys, all_=True)
     assert lines[-1] == f"{len(everything) - len(lines) + 1} lines more: rigctl status --all"
     assert len(everything) > 60
     named = " ".join(" ".join(everything).split())

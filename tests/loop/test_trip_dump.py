@@ -23,6 +23,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
+from rigctl.diagnosis.part import Part
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.recorder import chain
@@ -32,6 +33,7 @@ from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
 from tests.builders.durable import Disk
 from tests.builders.loop_frames import nmt, stop_node
+from tests.loop.test_causes import Shown
 
 WALL_OFFSET_NS = 1_700_000_000_000_000_000
 TICK_NS = 1_000_000
@@ -87,6 +89,21 @@ def trip(rig: Lockstep) -> int:
     stop_node(rig, rig.settings.tension_cell.node)
     rig.run_until(Mode.FAULT, 0.1)
     return rig.clock.now()
+
+
+def test_a_dump_names_the_part_that_the_running_rig_names(kept: Kept) -> None:
+    """Its fault alone is one of many names of a bus that is cut."""
+    rig = kept.rig
+    rig.run(0.5)
+    rig.hub.tap = lambda _, __: ()
+    rig.run(2.5)
+    kept.poll()
+    (file,) = kept.files()
+    culprit = read(file)[2]["culprit"]
+    state = Shown(rig).state()
+    assert culprit["parts"] == Part.BUS == " or ".join(state["culprit"]["parts"])
+    assert (culprit["text"], culprit["first"]) == (state["culprit"]["text"], state["culprit"]["first"])
+    assert culprit["follows"].split() == state["culprit"]["follows"][: len(culprit["follows"].split())]
 
 
 def read(file: pathlib.Path) -> tuple[dict[str, list[tuple[int, Any]]], dict[str, bytes], dict[str, dict[str, str]]]:
