@@ -10,13 +10,12 @@ import numpy as np
 
 from hil.faults.expected import InjectedFault, Reaction
 from hil.faults.lockstep_run import Floats, Run, TripEvent
-from hil.lockstep import WORK_NS
+from hil.faults.statements import false_statements
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, PowerOff, Refusal, Verb
-from rigctl.ipc.record import Flag
+from rigctl.control.modes import Mode, Refusal, Verb
 
 STANDS_MM = 0.1
 """A held stroke moves less than this once it has come to rest ..."""
@@ -35,10 +34,6 @@ SEEN_MM = 2.0
 """By stiffness: a load that sinks on its brake is seen by then."""
 _LOAD_MOVES = [Fault.STROKE_MOVES, Fault.LOAD_SINKS, Fault.BRAKE_SLIPS]
 WORSE_THAN_CUT = 1.1
-SHOWN_TICKS = 2
-"""Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
-ROUNDING_S = 1e-6
-_CONFIRMED = [int(shown) for shown in PowerOff if shown.confirmed]
 KEPT_IN = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke in place."""
 _WHAT_WILL_DO = {
@@ -123,8 +118,8 @@ def judge(
     findings += _stopped_by_death(run, dead, undisturbed, at, settings.plant.stiffness_n_mm)
     if run.command is Verb.RELEASE and run.refusal is Refusal.PREFLIGHT:
         findings.append("a check bars the release of the load")
-    late_s = fault.shown_late_ms * 1e-3 + SHOWN_TICKS * settings.loop.period_ns * 1e-9
-    findings += _shown_off(run, late_s, off_before=fault.around.parked)
+    off_late_s, off_before = fault.shown_late_ms * 1e-3, fault.around.parked
+    findings += false_statements(run, settings, off_late_s=off_late_s, off_before=off_before)
     return FaultResult(
         fault.id,
         mode.name + ("_PARKED" if fault.around.parked else ""),
@@ -150,7 +145,9 @@ def _band_by_cut_n(cut: Run, undisturbed: Run, expected: Reaction, mode: Mode) -
 def _parted(run: Run) -> tuple[Run, Floats]:
     """The run up to the death of its loop, and the stroke from then on."""
     end = len(run.t_s) if run.dead_from is None else run.dead_from
-    alive = {name: getattr(run, name)[:end] for name in ("t_s", "tension_n", "stroke_mm", "enabled", "powered")}
+    alive = {
+        name: getattr(run, name)[:end] for name in ("t_s", "tension_n", "stroke_mm", "enabled", "powered", "closed")
+    }
     return replace(run, **alive), run.stroke_mm[end:]
 
 
@@ -184,26 +181,6 @@ def _unseen(run: Run, undisturbed: Run, expected: Reaction, stiffness_n_mm: floa
     off_n = (run.tension_n - _until(run, undisturbed, undisturbed.tension_n, None))[run.t_s <= shown_s]
     moved_mm = float(np.max(np.abs(off_n), initial=0.0)) / stiffness_n_mm
     return [f"the load moved {moved_mm:.2f} mm before a fault showed it"] if moved_mm > SEEN_MM else []
-
-
-def _shown_off(run: Run, late_s: float, *, off_before: bool) -> list[str]:
-    """Records that show the drive without power while its motor has had current for longer than ``late_s``.
-
-    That is the age of the statusword shown: a record shows what was sent before it. The truth's sample of the same tick
-    is the next after it, and a power stage that goes off between the two is off in that tick. ``off_before``: the motor
-    had none until the fault.
-    """
-    shown = (run.records["flags"] & Flag.DRIVE_OFF != 0) | np.isin(run.records["power_off"], _CONFIRMED)
-    off_s = np.append(run.t_s[~run.powered], -math.inf)
-    off_s.sort()
-    first_s = 0.0 if off_before else run.t_s[0] - late_s
-    same_tick_s = run.records_t_s + WORK_NS * 1e-9 + ROUNDING_S
-    since_s = np.maximum(off_s[np.searchsorted(off_s, same_tick_s, side="right") - 1], first_s)
-    wrong = shown & (run.records_t_s - since_s > late_s + ROUNDING_S)
-    if not np.any(wrong):
-        return []
-    at_s = run.records_t_s[np.flatnonzero(wrong)[0]]
-    return [f"power off shown in {np.count_nonzero(wrong)} ticks while the motor had current, first {at_s:.3f} s"]
 
 
 def away_n(off_n: Floats, from_n: float) -> Floats:

@@ -77,6 +77,7 @@ class Run:
     stroke_mm: Floats
     enabled: npt.NDArray[np.bool_]  # whether the drive's motor is on, or will be as soon as the brake is open
     powered: npt.NDArray[np.bool_]  # whether the motor has current, whatever the drive reports
+    closed: npt.NDArray[np.bool_]  # whether the brake's armature is pressed on; it may slip
     records_t_s: Floats
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
@@ -96,14 +97,15 @@ class _Watcher:
     def __init__(self, rig: Lockstep) -> None:
         self._rig = rig
         self._origin_ns = rig.clock.now()
-        self.rows: list[tuple[float, float, float, bool, bool]] = []
+        self.rows: list[tuple[float, float, float, bool, bool, bool]] = []
 
     def __call__(self) -> None:
         rig = self._rig.rig
         truth = rig.truth
         t_s = (truth.t_ns - self._origin_ns) * 1e-9
         control = rig.drive.control
-        self.rows.append((t_s, truth.tension_n, truth.stroke_mm, control.enabled, control.stage.powered))
+        stage = control.stage
+        self.rows.append((t_s, truth.tension_n, truth.stroke_mm, control.enabled, stage.powered, stage.braked))
 
 
 @dataclass(frozen=True)
@@ -242,11 +244,11 @@ def _branch(
     if dead_from is not None:
         rig.on_advance = watcher
         kill(rig)
-    t_s, tension_n, stroke_mm, enabled, powered = map(np.array, zip(*watcher.rows, strict=True))
+    t_s, tension_n, stroke_mm, enabled, powered, closed = map(np.array, zip(*watcher.rows, strict=True))
     records_t_s = (records["t_ns"] - origin_ns) * 1e-9
     return Run(
-        t_s, tension_n, stroke_mm, enabled, powered, records_t_s, records, before, trips, command, refusal, events,
-        lead, dead_from, replies.read(), rig.frames,
+        t_s, tension_n, stroke_mm, enabled, powered, closed, records_t_s, records, before, trips, command, refusal,
+        events, lead, dead_from, replies.read(), rig.frames,
     )  # fmt: skip
 
 

@@ -1,0 +1,139 @@
+"""What the records of a run say of drive, brake and load, in every tick, against the plant's truth.
+
+A statement is false where the truth has denied it for longer than the age shown with it. What says less than the truth
+(not known, not confirmed, not for so long) is not false.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.faults.lockstep_run import Floats, Run
+from hil.lockstep import WORK_NS
+from rigctl.config.settings import RigSettings
+from rigctl.control.modes import REST_S, HeldBy, LoadAtRest, PowerOff
+from rigctl.ipc.record import Flag
+
+Bools = npt.NDArray[np.bool_]
+
+SHOWN_TICKS = 2
+"""Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
+ROUNDING_S = 1e-6
+RESTS_MM = 0.1
+"""A load that is called at rest has moved less within `REST_S`, as stroke or as stretch."""
+SWINGS = 2.0
+"""Of that, as stretch, on a stroke at rest: a payload that bounces goes both ways."""
+CLOSES_S = 3.0
+"""A drive that is said to stop, to close its brake and to go off has done so by then."""
+SLIPPED_MM = 0.03
+"""Motion on the closed brake, true or reported, behind a flag that is set: the smallest limit is 0.04 mm."""
+UNFLAGGED_MM = 2.0
+"""Motion on a closed brake by which the flag is set."""
+_CONFIRMED = [int(shown) for shown in PowerOff if shown.confirmed]
+_RESTS = [int(shown) for shown in LoadAtRest if shown.rests]
+_BY_MOTOR = [HeldBy.MOTOR, HeldBy.NOTHING]
+_BLOCK = 10
+"""Samples of the truth that make one of a window."""
+
+
+class Statement(NamedTuple):
+    """What records say: where they do, where the truth agrees, and for how long it may deny it."""
+
+    words: str
+    shown: Bools
+    true: Bools
+    late_s: float
+    true_before: bool = True
+    """The truth agreed until the run's begin."""
+    process: bool = False
+    """It says what is under way, so its age begins where it is first shown."""
+
+
+def false_statements(run: Run, settings: RigSettings, *, off_late_s: float, off_before: bool) -> list[str]:
+    """Statements that are false, each with how often, and first when.
+
+    Args:
+        run: up to the death of its loop.
+        settings: of its rig.
+        off_late_s: age that the fault itself adds to the statusword shown.
+        off_before: the motor had no current until the fault.
+    """
+    return [words for one in _statements(run, settings, off_late_s, off_before) for words in _false(one, run)]
+
+
+def _statements(run: Run, settings: RigSettings, off_late_s: float, off_before: bool) -> Iterator[Statement]:
+    records, flags = run.records, run.records["flags"]
+    latched_s = off_late_s + SHOWN_TICKS * settings.loop.period_ns * 1e-9
+    silent_s = latched_s + settings.safety.stale_ms * 1e-3
+    off, rests = ~run.powered, _rests(run, settings)
+    held_by = records["held_by"]
+    yield Statement(
+        "power off shown", (flags & Flag.DRIVE_OFF != 0) | np.isin(records["power_off"], _CONFIRMED), off, latched_s,
+        off_before,
+    )  # fmt: skip
+    yield Statement("motor holds or moves the load", np.isin(held_by, _BY_MOTOR), run.enabled, silent_s)
+    fresh = records["drive_quality"] == 0
+    yield Statement("drive enabled", (flags & Flag.DRIVE_ENABLED != 0) & fresh, run.enabled, silent_s)
+    yield Statement("brake closing", held_by == HeldBy.CLOSING, off | ~rests, CLOSES_S, process=True)
+    yield Statement("held by the brake", held_by == HeldBy.BRAKE, off & run.closed & rests, REST_S)
+    yield Statement("load at rest", np.isin(records["load_at_rest"], _RESTS), rests, REST_S)
+    slipped_mm, reported_mm = _slipped_mm(run, run.stroke_mm), _slipped_mm(run, _reported_mm(run))
+    fails = flags & Flag.BRAKE_FAILS != 0
+    if settings.cylinder.brake_waiver is None and not fails[0]:
+        slipped = (slipped_mm > SLIPPED_MM) | (reported_mm > SLIPPED_MM)
+        yield Statement("brake does not hold", fails, slipped, 0.0, true_before=False)
+        yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, 0.0)
+
+
+def _false(one: Statement, run: Run) -> Iterator[str]:
+    """The truth's sample of the same tick is the next after a record; what changes between the two is of that tick."""
+    agrees_s = np.append(run.t_s[one.true], -math.inf)
+    agrees_s.sort()
+    first_s = 0.0 if one.true_before else run.t_s[0] - one.late_s
+    same_tick_s = run.records_t_s + WORK_NS * 1e-9 + ROUNDING_S
+    since_s = np.maximum(agrees_s[np.searchsorted(agrees_s, same_tick_s, side="right") - 1], first_s)
+    if one.process:
+        since_s = np.maximum(since_s, np.maximum.accumulate(np.where(one.shown, -math.inf, run.records_t_s)))
+    wrong = np.flatnonzero(one.shown & (run.records_t_s - since_s > one.late_s + ROUNDING_S))
+    if len(wrong):
+        yield f"{one.words} in {len(wrong)} ticks against the truth, first {run.records_t_s[wrong[0]]:.3f} s"
+
+
+def _rests(run: Run, settings: RigSettings) -> Bools:
+    """At each sample: the load has moved by no more than `RESTS_MM` within the last `REST_S`."""
+    stretch_mm = run.tension_n / settings.plant.stiffness_n_mm
+    return (_range(run.stroke_mm, run) <= RESTS_MM) & (_range(stretch_mm, run) <= SWINGS * RESTS_MM)
+
+
+def _range(values: Floats, run: Run) -> Floats:
+    """Greatest less least value of the last `REST_S`; what was before the run counts as its first value."""
+    step_s = float(np.median(np.diff(run.t_s)))
+    width = max(round(REST_S / step_s / _BLOCK), 1)
+    padded = np.concatenate([np.full(width * _BLOCK, values[0]), values, np.full(-len(values) % _BLOCK, values[-1])])
+    blocks = padded.reshape(-1, _BLOCK)
+    windows = np.lib.stride_tricks.sliding_window_view
+    most = windows(blocks.max(axis=1), width + 1).max(axis=1)
+    least = windows(blocks.min(axis=1), width + 1).min(axis=1)
+    return np.repeat(most - least, _BLOCK)[: len(values)]
+
+
+def _reported_mm(run: Run) -> Floats:
+    """The drive's position at the truth's samples: the flag goes by it where the tension says nothing against it."""
+    at = np.searchsorted(run.records_t_s, run.t_s, side="right") - 1
+    reported: Floats = run.records["stroke_mm"][np.maximum(at, 0)]
+    return reported
+
+
+def _slipped_mm(run: Run, stroke_mm: Floats) -> Floats:
+    """At each sample: the largest motion so far on a brake that is closed or alone with the load, since it began."""
+    alone = run.closed | ~run.powered
+    found = np.zeros(len(run.t_s))
+    edges = np.flatnonzero(np.diff(alone.astype(int), prepend=0, append=0))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        found[begin:end] = np.abs(stroke_mm[begin:end] - stroke_mm[begin])
+    return np.maximum.accumulate(found)
