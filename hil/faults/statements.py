@@ -16,6 +16,7 @@ import numpy.typing as npt
 from hil.faults.lockstep_run import Floats, Run
 from hil.lockstep import WORK_NS
 from rigctl.config.settings import RigSettings
+from rigctl.control.brake_flag import FALLS_NS
 from rigctl.control.modes import REST_S, HeldBy, LoadAtRest, PowerOff
 from rigctl.ipc.record import Flag
 
@@ -33,7 +34,7 @@ CLOSES_S = 3.0
 SLIPPED_MM = 0.03
 """Motion on the closed brake, true or reported, behind a flag that is set: the smallest limit is 0.04 mm."""
 UNFLAGGED_MM = 2.0
-"""Motion on a closed brake by which the flag is set."""
+"""Motion on a closed brake after which the flag is set, once the tension has shown it for its time."""
 _CONFIRMED = [int(shown) for shown in PowerOff if shown.confirmed]
 _RESTS = [int(shown) for shown in LoadAtRest if shown.rests]
 _BY_MOTOR = [HeldBy.MOTOR, HeldBy.NOTHING]
@@ -82,16 +83,20 @@ def _statements(run: Run, settings: RigSettings, off_late_s: float, off_before: 
     yield Statement("brake closing", held_by == HeldBy.CLOSING, off | ~rests, CLOSES_S, process=True)
     yield Statement("held by the brake", held_by == HeldBy.BRAKE, off & run.closed & rests, REST_S)
     yield Statement("load at rest", np.isin(records["load_at_rest"], _RESTS), rests, REST_S)
-    slipped_mm, reported_mm = _slipped_mm(run, run.stroke_mm), _slipped_mm(run, _reported_mm(run))
+    closes_s = settings.cylinder.brake_delay_ms * 1e-3
+    slipped_mm, reported_mm = (_slipped_mm(run, values, closes_s) for values in (run.stroke_mm, _reported_mm(run)))
     fails = flags & Flag.BRAKE_FAILS != 0
     if settings.cylinder.brake_waiver is None and not fails[0]:
         slipped = (slipped_mm > SLIPPED_MM) | (reported_mm > SLIPPED_MM)
         yield Statement("brake does not hold", fails, slipped, 0.0, true_before=False)
-        yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, 0.0)
+        yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
 
 
 def _false(one: Statement, run: Run) -> Iterator[str]:
-    """The truth's sample of the same tick is the next after a record; what changes between the two is of that tick."""
+    """The truth's sample of the same tick is the next after a record; what changes between the two is of that tick.
+
+    A tick that comes after skipped ones shows what was received before them.
+    """
     agrees_s = np.append(run.t_s[one.true], -math.inf)
     agrees_s.sort()
     first_s = 0.0 if one.true_before else run.t_s[0] - one.late_s
@@ -99,7 +104,8 @@ def _false(one: Statement, run: Run) -> Iterator[str]:
     since_s = np.maximum(agrees_s[np.searchsorted(agrees_s, same_tick_s, side="right") - 1], first_s)
     if one.process:
         since_s = np.maximum(since_s, np.maximum.accumulate(np.where(one.shown, -math.inf, run.records_t_s)))
-    wrong = np.flatnonzero(one.shown & (run.records_t_s - since_s > one.late_s + ROUNDING_S))
+    on_time = np.diff(run.records["skipped"], prepend=run.before["skipped"]) == 0
+    wrong = np.flatnonzero(one.shown & on_time & (run.records_t_s - since_s > one.late_s + ROUNDING_S))
     if len(wrong):
         yield f"{one.words} in {len(wrong)} ticks against the truth, first {run.records_t_s[wrong[0]]:.3f} s"
 
@@ -129,11 +135,14 @@ def _reported_mm(run: Run) -> Floats:
     return reported
 
 
-def _slipped_mm(run: Run, stroke_mm: Floats) -> Floats:
-    """At each sample: the largest motion so far on a brake that is closed or alone with the load, since it began."""
+def _slipped_mm(run: Run, stroke_mm: Floats, closes_s: float) -> Floats:
+    """At each sample: the largest motion so far on a brake that has had ``closes_s`` to take the load, since then."""
     alone = run.closed | ~run.powered
     found = np.zeros(len(run.t_s))
     edges = np.flatnonzero(np.diff(alone.astype(int), prepend=0, append=0))
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+    for since, end in zip(edges[::2], edges[1::2], strict=True):
+        begin = since if not since or run.closed[since] else np.searchsorted(run.t_s, run.t_s[since] + closes_s)
+        if begin >= end:
+            continue
         found[begin:end] = np.abs(stroke_mm[begin:end] - stroke_mm[begin])
     return np.maximum.accumulate(found)
