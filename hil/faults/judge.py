@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from hil.faults.expected import InjectedFault, Reaction
+from hil.faults.known_misses import beyond_known
 from hil.faults.lockstep_run import Floats, Run, TripEvent
 from hil.faults.statements import false_statements
 from rigctl.config.settings import RigSettings
@@ -119,7 +120,8 @@ def judge(
     if run.command is Verb.RELEASE and run.refusal is Refusal.PREFLIGHT:
         findings.append("a check bars the release of the load")
     off_late_s, off_before = fault.shown_late_ms * 1e-3, fault.around.parked
-    findings += false_statements(run, settings, off_late_s=off_late_s, off_before=off_before)
+    false = false_statements(run, settings, off_late_s=off_late_s, off_before=off_before)
+    findings += beyond_known(false, fault.id, mode)
     return FaultResult(
         fault.id,
         mode.name + ("_PARKED" if fault.around.parked else ""),
