@@ -1,4 +1,4 @@
-"""``python -m hil faults --ways-out``: whether the displayed steps lead out of every end of the catalogue."""
+"""``python -m hil faults --ways-out``: whether the displayed steps lead out of every end, and offers are kept."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def run(rig_file: pathlib.Path, file: pathlib.Path, only: Sequence[str], modes: 
         modes: names of modes; none = all.
 
     Returns:
-        0 when every row was played and every distinct end has a way out, else 1.
+        0 when every row was played, every end has a way out, and every command was answered as offered, else 1.
 
     Raises:
         ScenarioError, ConfigError: bad input, or a rig that cannot be simulated.
@@ -39,7 +39,7 @@ def run(rig_file: pathlib.Path, file: pathlib.Path, only: Sequence[str], modes: 
     rig = simulated_rig(rig_file)
     rows = choose(only, modes).lockstep
     check_outputs({"--ways-out": file}, [rig_file])
-    kept = RowsFile(file, {"ways out": 1, "source": source_of(rig_file)})
+    kept = RowsFile(file, {"ways out": 2, "source": source_of(rig_file)})
     with progress("ways out", len(rows)) as advance:
         found = play.play(rig, rows, kept, advance)
     unplayed = play.unplayed(rows, kept)
@@ -50,8 +50,11 @@ def run(rig_file: pathlib.Path, file: pathlib.Path, only: Sequence[str], modes: 
         _show(one)
     by_mode = Counter(one.end.mode for one in found)
     named = ", ".join(f"{count} in {mode}" for mode, count in sorted(by_mode.items()))
+    misoffered = sorted({words for one in found for words in one.misoffered})
+    for words in misoffered:
+        _print(f"not as offered: {words}")
     _print(f"{len(rows)} rows, {len(found)} distinct ends ({named}): {len(lost)} without a way out")
-    return 1 if lost or unplayed else 0
+    return 1 if lost or unplayed or misoffered else 0
 
 
 def _show(one: LedOut) -> None:

@@ -38,6 +38,7 @@ class LedOut(NamedTuple):
     leads: bool
     why: str
     taken: tuple[str, ...]
+    misoffered: tuple[str, ...]
 
 
 def play(rig: RigSettings, rows: Sequence[Row], kept: RowsFile, advance: Advance) -> list[LedOut]:
@@ -68,9 +69,9 @@ def unplayed(rows: Sequence[Row], kept: RowsFile) -> Mapping[str, str]:
 def _led_out(end: End, rows: Iterable[Row], found: Any) -> LedOut:
     names = tuple(f"{fault.id} in {mode.name}" for fault, mode in rows)
     if isinstance(found, str):
-        return LedOut(end, names, False, found, ())
-    leads, why, taken = found
-    return LedOut(end, names, bool(leads), str(why), tuple(taken))
+        return LedOut(end, names, False, found, (), ())
+    leads, why, taken, misoffered = found
+    return LedOut(end, names, bool(leads), str(why), tuple(taken), tuple(misoffered))
 
 
 def _key(what: str, fault: InjectedFault, mode: Mode) -> str:

@@ -10,6 +10,7 @@ import msgspec
 
 from hil.faults.stand import Step
 from hil.lockstep import Lockstep
+from hil.ways_out.offer_check import misoffered
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
@@ -63,12 +64,13 @@ class End(NamedTuple):
 class WayOut(NamedTuple):
     """``leads``: to DISARMED with a slack rope or a load at rest; ``why``: what is in the way, else "".
 
-    ``taken``: the steps taken, in words, with the answer of each command.
+    ``taken``: the steps taken, in words, with the answer of each command. ``misoffered``: on the way, in words.
     """
 
     leads: bool
     why: str
     taken: tuple[str, ...]
+    misoffered: tuple[str, ...]
 
 
 class StepFollower:
@@ -88,6 +90,7 @@ class StepFollower:
         self._cursor = Cursor(rig.runtime.gateway_cursor, rig.runtime.records.path, 0)
         self._lifted_mm = 0.0
         self._taken: list[str] = []
+        self._misoffered: dict[str, None] = {}
 
     def run(self, seconds: float) -> None:
         """Let the rig go on; the fault too, unless it is mended."""
@@ -112,15 +115,20 @@ class StepFollower:
         idle, seen = 0, Counter[tuple[Instruction, ...]]()
         for _ in range(STEPS):
             if self._is_out():
-                return WayOut(True, "", tuple(self._taken))
+                return self._way("")
             state = self.state()
             steps = view(state).steps
+            if not seen[steps]:
+                self._misoffered |= dict.fromkeys(misoffered(self._rig, self.state, self.run))
             seen[steps] += 1
             idle = 0 if self._take(steps) else idle + 1
             if idle > 1 or seen[steps] > ALIKE:
-                return WayOut(False, f"{state['mode']}, {state['fault']}: no step leads on", tuple(self._taken))
+                return self._way(f"{state['mode']}, {state['fault']}: no step leads on")
         state = self.state()
-        return WayOut(False, f"{state['mode']}, {state['fault']}: after {STEPS} looks", tuple(self._taken))
+        return self._way(f"{state['mode']}, {state['fault']}: after {STEPS} looks")
+
+    def _way(self, why: str) -> WayOut:
+        return WayOut(not why, why, tuple(self._taken), tuple(self._misoffered))
 
     def _is_out(self) -> bool:
         machine, rig = self._rig.loop.machine, self._rig.rig
