@@ -9,7 +9,7 @@ from rigctl.config.settings import RigSettings
 
 
 def changed(settings: RigSettings, values: Mapping[str, object]) -> RigSettings:
-    """The settings with some values replaced; nothing is validated.
+    """The settings with some values replaced; nothing is validated, but a list stays one.
 
     Args:
         settings: a rig's.
@@ -22,5 +22,8 @@ def changed(settings: RigSettings, values: Mapping[str, object]) -> RigSettings:
 
 def _replaced(section: Any, path: list[str], value: object) -> Any:
     first, *rest = path
-    inner = _replaced(getattr(section, first), rest, value) if rest else value
+    before = getattr(section, first)
+    inner = _replaced(before, rest, value) if rest else value
+    if isinstance(before, list) and isinstance(inner, tuple):
+        inner = [*inner]
     return section.model_copy(update={first: inner})

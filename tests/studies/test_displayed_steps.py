@@ -7,13 +7,16 @@ from __future__ import annotations
 
 import json
 import pathlib
+from dataclasses import replace
 
 import pytest
 
 from hil.cli import faults_ways_out
 from hil.study import rows_file
 from hil.ways_out import step_follower
+from rigctl.control.logbook import Logbook
 from rigctl.control.modes import Mode
+from rigctl.control.situation import Situation
 from rigctl.wire import operator_view
 from rigctl.wire.instructions import Hands
 from tests.builders.paths import ROOT
@@ -30,7 +33,7 @@ KINDS = (
 def taken(file: pathlib.Path) -> list[str]:
     """Of the only way out in a file."""
     _, rows = rows_file.read(file)
-    ((leads, why, steps),) = (value for key, value in rows.items() if key.startswith("way out "))
+    ((leads, why, steps, _misoffered),) = (value for key, value in rows.items() if key.startswith("way out "))
     assert isinstance(leads, bool)
     return [why, *steps]
 
@@ -78,6 +81,21 @@ def test_a_step_that_is_not_displayed_is_found_to_be_missing(
     lines = [line for line in file.read_text().splitlines() if not json.loads(line).get("key", "").startswith("way")]
     file.write_text("".join(f"{line}\n" for line in lines))
     assert faults_ways_out.run(RIG, file, ["cell_stuck"], [Mode.HOLD.name]) == 0
+
+
+def test_a_command_that_is_not_answered_as_it_is_offered_is_found(
+    tmp_path: pathlib.Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The situation that the loop publishes lacks the fault's causes, by which it answers RESET."""
+    publish = Logbook.situation
+
+    def without_causes(self: Logbook, t_ns: int, mode: int, situation: Situation) -> None:
+        publish(self, t_ns, mode, replace(situation, causes=0))
+
+    monkeypatch.setattr(Logbook, "situation", without_causes)
+    assert faults_ways_out.run(RIG, tmp_path / "ways.jsonl", ["cell_silent"], [Mode.HOLD.name]) == 1
+    out = capsys.readouterr().out
+    assert "not as offered: RESET in FAULT, CELL_STALE: offer accepted, CAUSE_PRESENT\n" in out
 
 
 def test_hands_mend_only_where_the_fault_is(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+import warnings
 
 import numpy as np
 import numpy.typing as npt
@@ -79,6 +80,13 @@ def test_a_number_is_the_same_draw_every_time_and_within_the_ranges(settings: Ri
             kind = kinds.BY_NAME[fault.kind]
             assert 0.999 * kind.low <= abs(fault.size) <= 1.001 * kind.high
             assert kind.signed or fault.size > 0.0
+
+
+def test_a_rig_without_limits_is_written_without_a_warning() -> None:
+    """Of pydantic, on a list that is something else: its text came up on the terminal of every draw."""
+    rig = DrawnRig(6.0, None, 300.0, limits=False).settings(rig_file.load(ROOT / "config/paper_rig.yaml"))
+    with warnings.catch_warnings(action="error"):
+        assert rig.model_dump(mode="json")["limits"] == []
 
 
 def test_every_part_and_every_course_is_drawn() -> None:
