@@ -11,7 +11,7 @@ from hil.lockstep import Lockstep
 from rigctl.control.modes import Refusal, Verb
 from rigctl.wire.offers import PAY_OUT, bounds_of, refused_with
 
-ANSWERED_S = 0.05
+ANSWERED_S = 0.01
 """A refusal comes in the next tick; a command without an answer by then is under way."""
 LATER_S = 0.2
 """Twice the period at which the loop publishes its situation: what is offered wrongly then was not on its way."""
