@@ -84,10 +84,11 @@ def _statements(run: Run, settings: RigSettings, off_late_s: float, off_before: 
     yield Statement("held by the brake", held_by == HeldBy.BRAKE, off & run.closed & rests, REST_S)
     yield Statement("load at rest", np.isin(records["load_at_rest"], _RESTS), rests, REST_S)
     closes_s = settings.cylinder.brake_delay_ms * 1e-3
-    slipped_mm, reported_mm = (_slipped_mm(run, values, closes_s) for values in (run.stroke_mm, _reported_mm(run)))
     fails = flags & Flag.BRAKE_FAILS != 0
     if settings.cylinder.brake_waiver is None and not fails[0]:
-        slipped = (slipped_mm > SLIPPED_MM) | (reported_mm > SLIPPED_MM)
+        moved_mm = (_slipped_mm(run, values, closes_s, from_off=True) for values in (run.stroke_mm, _reported_mm(run)))
+        slipped = np.maximum(*moved_mm) > SLIPPED_MM
+        slipped_mm = _slipped_mm(run, run.stroke_mm, closes_s, from_off=False)
         yield Statement("brake does not hold", fails, slipped, 0.0, true_before=False)
         yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
 
@@ -135,8 +136,11 @@ def _reported_mm(run: Run) -> Floats:
     return reported
 
 
-def _slipped_mm(run: Run, stroke_mm: Floats, closes_s: float) -> Floats:
-    """At each sample: the largest motion so far on a brake that has had ``closes_s`` to take the load, since then."""
+def _slipped_mm(run: Run, stroke_mm: Floats, closes_s: float, *, from_off: bool) -> Floats:
+    """At each sample: the largest motion so far on a brake that has had ``closes_s`` to take the load.
+
+    ``from_off``: since the motor's end, of which the flag may count all; else since the brake has had its time.
+    """
     alone = run.closed | ~run.powered
     found = np.zeros(len(run.t_s))
     edges = np.flatnonzero(np.diff(alone.astype(int), prepend=0, append=0))
@@ -144,5 +148,5 @@ def _slipped_mm(run: Run, stroke_mm: Floats, closes_s: float) -> Floats:
         begin = since if not since or run.closed[since] else np.searchsorted(run.t_s, run.t_s[since] + closes_s)
         if begin >= end:
             continue
-        found[begin:end] = np.abs(stroke_mm[begin:end] - stroke_mm[begin])
+        found[begin:end] = np.abs(stroke_mm[begin:end] - stroke_mm[since if from_off else begin])
     return np.maximum.accumulate(found)

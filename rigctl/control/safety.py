@@ -207,7 +207,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_UNASKED, FieldValue("drive_unasked"), 0, DRIVE_GRACE_NS, _UNASKED, "", lost, _ELSEWHERE),
         Row(Fault.DRIVE_UNASKED, FieldValue("drive_lingers"), 0, LINGER_NS, _UNASKED, "", lost, LINGERS,
             bars=Bars.LASTING),
-        Row(Fault.DRIVE_UNASKED, _powered_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
+        Row(Fault.DRIVE_UNASKED, _powered_mm_s(stale), BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),
         Row(Fault.SIGN_DRIVE, FieldValue("drive_reversed"), 0, 0, _TENSIONING, ""),
         Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, "", words=lambda x: x.slope_words),
@@ -229,7 +229,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.DRIVE_CONTRADICTS, _size("contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
         Row(Fault.STROKE_NOT_HELD, _size("excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
         Row(Fault.POSITION_DRIFTS, _size("corrected_mm"), CORRECTED_MM, 0, _AT_REST, "mm", lost),
-        Row(Fault.STROKE_MOVES, _unbraked_mm_s, BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _HELD, "mm/s", lost,
+        Row(Fault.STROKE_MOVES, _unbraked_mm_s(stale), BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _HELD, "mm/s", lost,
             words=_slack_words, bars=Bars.NEVER),
         Row(Fault.STROKE_MOVES, _sinks_mm_s, SINK_MM_S, SINK_NS, _HELD, "mm/s slowly", lost, words=_slack_words),
         Row(Fault.INNOVATION, FieldValue("rejects"), settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
@@ -382,9 +382,11 @@ def _wrong_state(node: int) -> Callable[[Snapshot], float]:
     return lambda x: 0 if (state := x.node_states.get(node, _OPERATIONAL)) == _OPERATIONAL else state
 
 
-def _unbraked_mm_s(snapshot: Snapshot) -> float:
-    unpowered = snapshot.drive_off or snapshot.drive_faulted
-    return abs(snapshot.speed_mm_s) if unpowered else 0.0
+def _unbraked_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:
+    """The last speed of a drive that has gone silent is no motion of the stroke."""
+    return lambda x: (
+        abs(x.speed_mm_s) if (x.drive_off or x.drive_faulted) and x.drive_age_ns <= stale_ns else 0.0
+    )  # fmt: skip
 
 
 def _sinks_mm_s(snapshot: Snapshot) -> float:
@@ -400,8 +402,9 @@ def _slack_words(snapshot: Snapshot) -> str:
     return f", the rope is slack in about {snapshot.sink_left_mm / sinks_mm_s:.0f} s"
 
 
-def _powered_mm_s(snapshot: Snapshot) -> float:
-    return abs(snapshot.speed_mm_s) if snapshot.drive_powered else 0.0
+def _powered_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:
+    """Under power, see `_unbraked_mm_s`."""
+    return lambda x: abs(x.speed_mm_s) if x.drive_powered and x.drive_age_ns <= stale_ns else 0.0
 
 
 def _lost_n(snapshot: Snapshot) -> float:

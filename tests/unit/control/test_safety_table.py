@@ -168,10 +168,13 @@ def test_rows_that_watch_more_than_one_signal_or_a_lower_bound() -> None:
     assert slips.value(replace(GOOD, speed_mm_s=-0.3, drive_off=True)) == pytest.approx(0.3)
     assert slips.value(replace(GOOD, speed_mm_s=-0.3)) == 0.0
     assert slips.value(replace(GOOD, speed_mm_s=-0.3, drive_faulted=True)) == pytest.approx(0.3)
+    mute = replace(GOOD, speed_mm_s=-0.3, drive_age_ns=SETTINGS.safety.stale_ms * MS + 1)
+    assert slips.value(replace(mute, drive_off=True)) == 0.0, "the last speed of a silent drive is no motion"
     moved = row_of("DRIVE_UNASKED", "mm/s the stroke moves under power")
     assert (moved.limit, moved.persistence_ns, moved.modes) == (0.2, 200 * MS, modes("DISARMED HOLD"))
     assert moved.value(replace(GOOD, speed_mm_s=-0.3, drive_powered=True)) == pytest.approx(0.3)
     assert moved.value(replace(GOOD, speed_mm_s=-0.3)) == 0.0
+    assert moved.value(replace(mute, drive_powered=True)) == 0.0
     silent = row_of("NODE_NOT_OPERATIONAL", "ns cylinder drive (node 4)")
     assert (silent.limit, silent.persistence_ns, silent.action, silent.modes) == (500 * MS, 0, Action.HOLD,
                                                                                  modes(ARMED))  # fmt: skip
