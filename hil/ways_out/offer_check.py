@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
 from hil.branching import BranchPoint
 from hil.lockstep import Lockstep
-from rigctl.control.modes import Refusal, Verb
+from rigctl.control.modes import TRIED_IN, Refusal, Verb
 from rigctl.wire.offers import PAY_OUT, bounds_of, refused_with
 
 ANSWERED_S = 0.01
@@ -38,11 +39,17 @@ def _differing(rig: Lockstep, state: dict[str, Any]) -> Iterator[tuple[str, str]
         given = () if value is None else (value,)
         answer = start.branch(partial(_answer, rig, verb, given))
         refused = refused_with(state, verb.name.lower(), value if verb in _BOUNDED else None)
+        if verb in TRIED_IN and answer in _MEASURED:
+            answer = Refusal.NONE
         if bool(refused) != (answer is not Refusal.NONE):
             yield name, f"{name} in {state['mode']}, {state['fault']}: offer {refused or 'accepted'}, {answer.name}"
 
 
 _BOUNDED = {Verb.RELEASE, Verb.TARGET, Verb.CARRY}
+_VALUE = {Verb.RESPONSE: math.nan}
+"""In any mode that has a response, as ``rigctl response`` gives it."""
+_MEASURED = frozenset({Refusal.UNSTEADY, Refusal.NO_SAMPLES})
+"""What a trial that was accepted has found: it answers at its end, at once where nothing can be measured."""
 
 
 def _tried(state: dict[str, Any]) -> Iterator[tuple[str, Verb, float | None]]:
@@ -53,7 +60,7 @@ def _tried(state: dict[str, Any]) -> Iterator[tuple[str, Verb, float | None]]:
             yield verb.name, verb, least
             yield f"{verb.name} {most + 1:g}", verb, most + 1
         else:
-            yield verb.name, verb, state["stroke_mm"] if verb is Verb.CONFIRM_STROKE else None
+            yield verb.name, verb, _VALUE.get(verb) if verb is not Verb.CONFIRM_STROKE else state["stroke_mm"]
     _, most = bounds_of(state, PAY_OUT) or (0.0, 0.0)
     yield "RELEASE 1 mm", Verb.RELEASE, min(1.0, most) or 1.0
     yield f"RELEASE {most + 1:g} mm", Verb.RELEASE, most + 1

@@ -57,7 +57,7 @@ def probe(endpoint: str, owned: Credentials | None = None) -> Probed:
 
 
 def _unknown(address: Address) -> str | None:
-    """Why the host's name has no address; None if it has. A name server that is silent keeps nobody waiting."""
+    """Why the host's name has no address; None if it has. A name server that is silent is not waited for."""
     found: list[str | None] = []
 
     def look_up() -> None:

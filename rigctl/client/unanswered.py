@@ -24,11 +24,10 @@ from rigctl.identity.credentials import Credentials
 from rigctl.ipc import public_slot, wall_clock
 from rigctl.ipc.folder_places import GATEWAY_SOCKET
 from rigctl.wire.public_state import public_state
-from rigctl.wire.state_words import held
+from rigctl.wire.state_words import held, if_it_moves
 from rigctl.wire.user_name import user_name
 
 _HALL = "Keep out of the hall."
-_MOVES = "If the load moves: press the emergency stop."
 _AT_RIG = "At the rig's computer: rigctl status."
 _ELSEWHERE = "not known from here"
 
@@ -101,7 +100,7 @@ def _local(daemon: LocalDaemon) -> Unanswered:
     state = _state(daemon)
     steps: tuple[str, ...]
     if not daemon.runs:
-        steps = _HALL, _MOVES, "rigctl doctor, then start the daemon anew."
+        steps = _HALL, if_it_moves(state or {}), "rigctl doctor, then start the daemon anew."
         return _with_slot(Obstacle.LOOP, "the supervisor has been killed, and a loop without it ends", steps, daemon)
     waits_for = None if state is None else state["waits_for"]
     if state is None or (state["mode"] is not None and (state["loop_alive"] or not state["written"]) and not waits_for):
@@ -109,9 +108,9 @@ def _local(daemon: LocalDaemon) -> Unanswered:
     if waits_for and (state["mode"] is None or state["loop_alive"]):
         steps = _HALL, "Wait: rigctl status again. If it does not come: see the daemon's log."
         return _with_slot(Obstacle.STARTING, f"the daemon starts, and waits for: {waits_for}", steps, daemon)
-    again = f"; its next start waits for: {waits_for}" if waits_for else ""
-    steps = _HALL, _MOVES, "rigctl status again: the loop comes back DISARMED."
-    return _with_slot(Obstacle.LOOP, f"no records: it has ended, or hangs{again}", steps, daemon)
+    why = f"no records; its next start waits for: {waits_for}" if waits_for else "no records: it has ended, or hangs"
+    steps = _HALL, if_it_moves(state), "rigctl status again: the loop comes back DISARMED."
+    return _with_slot(Obstacle.LOOP, why, steps, daemon)
 
 
 def _here(endpoint: str, rig: str | None) -> LocalDaemon | None:

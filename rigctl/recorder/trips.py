@@ -202,7 +202,10 @@ class Trips:
         trip = next((trip for trip in first_trips(known) if trip.t_ns >= group.triggers[0].t_ns), None)
         if trip is None or trip.t_ns > group.end_ns:
             return {}
-        found = diagnose(around(trip, self._settings, known, records))
+        try:
+            found = diagnose(around(trip, self._settings, known, records))
+        except (ArithmeticError, LookupError, TypeError, ValueError) as error:  # the dump is kept without a name
+            return {"text": f"not known: {type(error).__name__}: {error}"}
         return {"parts": " or ".join(found.parts), "text": found.text, "question": found.question,
                 "first": found.first, "follows": " ".join(found.follows)}  # fmt: skip
 

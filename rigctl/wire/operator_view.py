@@ -15,7 +15,7 @@ from rigctl.diagnosis.table import suspects
 from rigctl.wire.alarms import Alarm, figure, follows
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now
-from rigctl.wire.state_words import drive, ending, held, mode
+from rigctl.wire.state_words import BRAKE_FAILS, drive, ending, held, if_it_moves, mode
 from rigctl.wire.trust import DEVICES, doubts, explained, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
@@ -85,18 +85,12 @@ _DOES = {
     "RELEASING": "lowers the tension until the rope is slack, then holds",
     "FAULT": "stroke to be held: {held}",
 }
-BRAKE_FAILS = "brake_fails"
-"""In ``flag_names``: the brake is known not to hold."""
 _ON_MOTOR = ("MOTOR", "TAKING", "NOTHING")
 _SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
 _SAID = frozenset({*_SLIPPING, "E_STOP", "STROKE_JUMPED", "DRIVE_FAULT"})
 """Causes with steps of their own."""
 _SILENT = "Every device is silent: check the bus, its interface and the devices' power, away from the load."
 _RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
-
-
-_IF_IT_MOVES = "press the emergency stop", "support the payload from below, the brake does not hold it"
-"""The second where only the motor can hold the load."""
 
 
 def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = "") -> OperatorView:
@@ -118,10 +112,10 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
 
 def _without_loop(state: dict[str, Any]) -> OperatorView:
     """The view while no record comes: the daemon starts, or its loop is started anew, or neither."""
-    moves, waits_for = _IF_IT_MOVES[BRAKE_FAILS in state.get("flag_names", [])], state.get("waits_for")
+    waits_for = state.get("waits_for")
     wait = f"Wait for: {waits_for}. If it does not come: see the daemon's log."
     last = Instruction(wait, places=(HandsAt.COMPUTER,)) if waits_for else _START
-    steps = Instruction(_HALL), Instruction(f"If the load moves: {moves}."), last
+    steps = Instruction(_HALL), Instruction(if_it_moves(state)), last
     starts = bool(waits_for) and state.get("mode") is None
     does = "not known: this start has not enabled the drive" if starts else "not known: the loop writes no records"
     text = f"the daemon starts, and waits for: {waits_for}" if starts else "the loop writes no records"

@@ -9,8 +9,8 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode
 from rigctl.ipc.progress import REPORTED_S
 from rigctl.ipc.public_slot import PublicSlot
-from rigctl.ipc.record import Flag
 from rigctl.wire.record_names import ALIVE_NS, named, quality_words
+from rigctl.wire.state_words import BRAKE_FAILS
 
 
 def public_state(slot: PublicSlot, now_ns: int) -> dict[str, Any]:
@@ -33,7 +33,7 @@ def public_state(slot: PublicSlot, now_ns: int) -> dict[str, Any]:
         "causes": [{"fault": fault.name} for fault in Fault if slot.cause_bits >> fault & 1],
         "tension_n": None if math.isnan(slot.tension_n) else slot.tension_n,
         "quality": {"tension": quality_words(slot.tension_quality), "drive": quality_words(slot.drive_quality)},
-        "flag_names": [str(Flag.BRAKE_FAILS.name).lower()] if slot.brake_fails else [],
+        "flag_names": [BRAKE_FAILS] if slot.brake_fails else [],
     }
 
 

@@ -18,6 +18,8 @@ MODE_STYLE = {
     "FAULT": "bold white on red",
     "STARTING": "bold black on yellow",
 }
+BRAKE_FAILS = "brake_fails"
+"""In ``flag_names``: the brake is known not to hold."""
 NOTHING = "-"
 BAND_PCT = 5.0  # the requirement: largest error of the vertical tension, of its target
 
@@ -56,6 +58,13 @@ def held(state: dict[str, Any]) -> str:
         slips = f", which SLIPS by {abs(speed):.2f} mm/s: rope slack in {left:.0f} s"
     holds = _SLIPS if slips and by == "UNKNOWN" else _HELD.get(by, "moved by the motor")
     return "; ".join(filter(None, (holds, power_off(state)))) + slips
+
+
+def if_it_moves(state: dict[str, Any]) -> str:
+    """What to do should the load move while no loop runs; nothing but the motor holds one whose brake fails."""
+    fails = BRAKE_FAILS in state.get("flag_names", [])
+    step = "support the payload from below, the brake does not hold it" if fails else "press the emergency stop"
+    return f"If the load moves: {step}."
 
 
 def ending(state: dict[str, Any]) -> str:

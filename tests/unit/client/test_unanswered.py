@@ -1,4 +1,4 @@
-"""Why no daemon answers: six causes, told apart on this computer by the public slot, elsewhere by the connection."""
+"""Why no daemon answers: six causes, distinguished on this computer by the public slot, elsewhere by the connection."""
 
 from __future__ import annotations
 
@@ -111,6 +111,18 @@ def test_the_public_slot_tells_the_causes_apart(
     assert words in shown.wrong
 
 
+@pytest.mark.parametrize("killed", [False, True], ids=["the loop hangs", "the supervisor is killed"])
+def test_no_emergency_stop_is_a_step_for_a_load_that_the_brake_does_not_hold(daemon: LocalDaemon, killed: bool) -> None:
+    if killed:
+        daemon.place.place(LOCK).write_text(f"{1 << 21}\n")
+    shown = found(daemon, slot(record_s=0.5))
+    assert any("press the emergency stop" in step for step in shown.steps)
+    shown = found(daemon, slot(record_s=0.5)._replace(brake_fails=True))
+    assert shown.cause is Obstacle.LOOP
+    assert not any("press the emergency stop" in step for step in shown.steps)
+    assert any("support the payload from below" in step for step in shown.steps)
+
+
 def test_a_killed_daemon_leaves_its_last_values_with_their_age_and_no_tension(
     daemon: LocalDaemon, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,9 +140,10 @@ def test_each_is_at_most_eight_lines_of_80_columns(
     for content in (slot(), slot(record_s=3.0, waits_for=WAITS_FOR), slot(3.0, 3.0), slot(record_s=3.0),
                     slot(waits_for=WAITS_FOR)):  # fmt: skip
         worst = content._replace(fault=Fault.DRIVE_CONTRADICTS, mode=Mode.COMPENSATING, held_by=HeldBy.NOTHING)
-        shown = lines(found(daemon, worst), capsys, monkeypatch)
-        assert len(shown) <= 8, shown
-        assert max(map(len, shown)) <= 80
+        for brake_fails in (False, True):
+            shown = lines(found(daemon, worst._replace(brake_fails=brake_fails)), capsys, monkeypatch)
+            assert len(shown) <= 8, shown
+            assert max(map(len, shown)) <= 80
     shown = lines(found(daemon, slot(record_s=None, waits_for=WAITS_FOR)), capsys, monkeypatch)
     assert len(shown) <= 8, shown
 
@@ -151,21 +164,21 @@ def listening(greets: bytes) -> Iterator[str]:
         yield f"tcp/127.0.0.1:{server.getsockname()[1]}"
 
 
-NOBODY = NoDaemonError("no daemon answers")
+NO_DAEMON = NoDaemonError("no daemon answers")
 
 
-def test_a_port_without_a_listener_and_one_of_another_program_are_told_apart() -> None:
-    nothing = client.unanswered(f"tcp/127.0.0.1:{free_port()}", "no_such_rig", NOBODY)
+def test_a_port_without_a_listener_and_one_of_another_program_are_two_texts() -> None:
+    nothing = client.unanswered(f"tcp/127.0.0.1:{free_port()}", "no_such_rig", NO_DAEMON)
     assert nothing.cause is Obstacle.PORT
     assert nothing.wrong.startswith("nothing listens at tcp/127.0.0.1:")
     with listening(b"220 mail\r\n") as endpoint:
-        other = client.unanswered(endpoint, "no_such_rig", NOBODY)
+        other = client.unanswered(endpoint, "no_such_rig", NO_DAEMON)
     assert other.cause is Obstacle.PORT
     assert other.wrong.startswith(f"what listens at {endpoint} is no daemon")
 
 
 def test_an_unknown_host_is_named() -> None:
-    shown = client.unanswered("tcp/no-such-host.invalid:7447", None, NOBODY)
+    shown = client.unanswered("tcp/no-such-host.invalid:7447", None, NO_DAEMON)
     assert shown.cause is Obstacle.HOST
     assert shown.wrong.startswith("host no-such-host.invalid is not known to this computer (")
     assert (shown.state, shown.does) == (None, "not known from here")

@@ -1,4 +1,4 @@
-"""The public slot: 64 bytes that every user reads, torn or damaged by nobody without being seen."""
+"""The public slot: 64 bytes that every user reads, and a torn or damaged content is seen."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_reader_beside_the_writer_finds_whole_contents_alone(folder: FolderPla
 
 
 @pytest.mark.parametrize("left", ["link", "file", "pipe"])
-def test_what_is_left_in_its_place_is_replaced_and_followed_by_nobody(tmp_path: pathlib.Path, left: str) -> None:
+def test_what_is_left_in_its_place_is_replaced_and_no_link_is_followed(tmp_path: pathlib.Path, left: str) -> None:
     target, folder = tmp_path / "target", FolderPlaces(tmp_path / "rig")
     target.write_bytes(FULL.packed())
     folder.directory.mkdir()
