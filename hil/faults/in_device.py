@@ -145,6 +145,16 @@ def trips(code: int) -> Injector:
     return lambda stand: stand.drive.trip(code)
 
 
+def e_stop(seconds: float = math.inf) -> Injector:
+    """The drive's emergency stop is pressed, and released later."""
+
+    def inject(stand: Stand) -> Step:
+        stand.drive.press_e_stop(True)
+        return stand.ends_after(seconds, lambda: stand.drive.press_e_stop(False))
+
+    return inject
+
+
 def io_contact_opens(seconds: float = math.inf) -> Injector:
     """The emergency stop's contact at the I/O node opens, for a while or permanently; the drive's stays closed."""
 

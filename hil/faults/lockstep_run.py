@@ -69,7 +69,7 @@ class TripEvent:
 
 
 @dataclass(frozen=True)
-class Run:
+class RecordedTruth:
     """The truth (one sample a millisecond, ``t_s`` from the fault's beginning) and the loop's records."""
 
     t_s: Floats
@@ -81,6 +81,12 @@ class Run:
     records_t_s: Floats
     records: npt.NDArray[Any]
     before: Any  # the record before the first of them
+
+
+@dataclass(frozen=True)
+class Run(RecordedTruth):
+    """A row that has been played."""
+
     trips: tuple[TripEvent, ...]
     command: Verb | None  # given at the end
     refusal: Refusal | None  # of that command

@@ -139,12 +139,13 @@ DRAWN: dict[str, tuple[Part, ...]] = {
     ),
     **dict.fromkeys(
         ("drive_creeps", "drive_gain", "drive_ignores", "drive_runs", "rpdo_ignored", "rpdo_frozen", "rpdo_late",
-         "drive_trips", "sync_unheard", "watch_lost", "backlash_grows"),
+         "drive_trips", "drive_lies_off", "drive_reports_off", "sync_unheard", "watch_lost", "backlash_grows"),
         (Part.DRIVE,),
     ),
     **dict.fromkeys(("drive_samples_frozen", "drive_silent"), (Part.DRIVE, Part.BUS)),
     **dict.fromkeys(("sync_lost", "sync_twice", "frames_lost", "frames_gone", "frames_late"), (Part.BUS,)),
-    **dict.fromkeys(("brake_slips", "brake_open", "brake_closed"), (Part.BRAKE,)),
+    **dict.fromkeys(("brake_slips", "brake_late", "brake_drags", "brake_open", "brake_closed"), (Part.BRAKE,)),
+    "e_stop": (Part.E_STOP,),
     **dict.fromkeys(("rope_slips", "spring_changes"), (Part.ROPE,)),
     **dict.fromkeys(("loop_hangs", "loop_skips"), (Part.COMPUTER,)),
 }  # fmt: skip

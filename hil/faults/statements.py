@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.lockstep_run import Floats, Run
+from hil.faults.lockstep_run import Floats, RecordedTruth
 from hil.lockstep import WORK_NS
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import FALLS_NS
@@ -55,7 +55,7 @@ class Statement(NamedTuple):
     """It says what is under way, so its age begins where it is first shown."""
 
 
-def false_statements(run: Run, settings: RigSettings, *, off_late_s: float, off_before: bool) -> list[str]:
+def false_statements(run: RecordedTruth, settings: RigSettings, *, off_late_s: float, off_before: bool) -> list[str]:
     """Statements that are false, each with how often, and first when.
 
     Args:
@@ -67,7 +67,7 @@ def false_statements(run: Run, settings: RigSettings, *, off_late_s: float, off_
     return [words for one in _statements(run, settings, off_late_s, off_before) for words in _false(one, run)]
 
 
-def _statements(run: Run, settings: RigSettings, off_late_s: float, off_before: bool) -> Iterator[Statement]:
+def _statements(run: RecordedTruth, settings: RigSettings, off_late_s: float, off_before: bool) -> Iterator[Statement]:
     records, flags = run.records, run.records["flags"]
     latched_s = off_late_s + SHOWN_TICKS * settings.loop.period_ns * 1e-9
     silent_s = latched_s + settings.safety.stale_ms * 1e-3
@@ -93,7 +93,7 @@ def _statements(run: Run, settings: RigSettings, off_late_s: float, off_before: 
         yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
 
 
-def _false(one: Statement, run: Run) -> Iterator[str]:
+def _false(one: Statement, run: RecordedTruth) -> Iterator[str]:
     """The truth's sample of the same tick is the next after a record; what changes between the two is of that tick.
 
     A tick that comes after skipped ones shows what was received before them.
@@ -111,13 +111,13 @@ def _false(one: Statement, run: Run) -> Iterator[str]:
         yield f"{one.words} in {len(wrong)} ticks against the truth, first {run.records_t_s[wrong[0]]:.3f} s"
 
 
-def _rests(run: Run, settings: RigSettings) -> Bools:
+def _rests(run: RecordedTruth, settings: RigSettings) -> Bools:
     """At each sample: the load has moved by no more than `RESTS_MM` within the last `REST_S`."""
     stretch_mm = run.tension_n / settings.plant.stiffness_n_mm
     return (_range(run.stroke_mm, run) <= RESTS_MM) & (_range(stretch_mm, run) <= SWINGS * RESTS_MM)
 
 
-def _range(values: Floats, run: Run) -> Floats:
+def _range(values: Floats, run: RecordedTruth) -> Floats:
     """Greatest less least value of the last `REST_S`; what was before the run counts as its first value."""
     step_s = float(np.median(np.diff(run.t_s)))
     width = max(round(REST_S / step_s / _BLOCK), 1)
@@ -129,14 +129,14 @@ def _range(values: Floats, run: Run) -> Floats:
     return np.repeat(most - least, _BLOCK)[: len(values)]
 
 
-def _reported_mm(run: Run) -> Floats:
+def _reported_mm(run: RecordedTruth) -> Floats:
     """The drive's position at the truth's samples: the flag goes by it where the tension says nothing against it."""
     at = np.searchsorted(run.records_t_s, run.t_s, side="right") - 1
     reported: Floats = run.records["stroke_mm"][np.maximum(at, 0)]
     return reported
 
 
-def _slipped_mm(run: Run, stroke_mm: Floats, closes_s: float, *, from_off: bool) -> Floats:
+def _slipped_mm(run: RecordedTruth, stroke_mm: Floats, closes_s: float, *, from_off: bool) -> Floats:
     """At each sample: the largest motion so far on a brake that has had ``closes_s`` to take the load.
 
     ``from_off``: since the motor's end, of which the flag may count all; else since the brake has had its time.

@@ -67,14 +67,24 @@ COURSES = (
     Course("gains", 3.8, 6.0, (*_WORK, CourseStep(Mode.COMPENSATING, 1.5, Verb.GAINS)), _below),
     Course("releasing", 1.4, 5.0, (_ARM, CourseStep(Mode.HOLD, 0.3, Verb.RELEASE))),
     Course("fault", 1.9, 7.0, (_ARM,), silence_s=1.8),
+    Course("disarming", 1.4, 5.0, (_ARM, CourseStep(Mode.HOLD, 1.5, Verb.DISARM))),
+    Course("carrying", 4.5, 9.0, (_ARM, CourseStep(Mode.FAULT, 1.5, Verb.CARRY, (60.0,))), silence_s=1.8),
+    Course("lowering", 4.0, 8.0, (_ARM, CourseStep(Mode.FAULT, 1.5, Verb.LOWER)), silence_s=1.8),
 )
 BY_NAME = {course.name: course for course in COURSES}
 
-THEN: dict[str, tuple[Verb, ...]] = {
+_RESET, _AGAIN, _UP = (Verb.RESET, ()), (Verb.ARM, ()), (Verb.TENSION, ())
+_CARRY, _LOWER, _DISARM = (Verb.CARRY, (60.0,)), (Verb.LOWER, ()), (Verb.DISARM, ())
+THEN: dict[str, tuple[tuple[Verb, tuple[float, ...]], ...]] = {
     "nothing": (),
-    "reset": (Verb.RESET,),
-    "reset, arm": (Verb.RESET, Verb.ARM),
-    "reset, arm, tension": (Verb.RESET, Verb.ARM, Verb.TENSION),
+    "reset": (_RESET,),
+    "reset, arm": (_RESET, _AGAIN),
+    "reset, arm, tension": (_RESET, _AGAIN, _UP),
+    "reset, arm, disarm": (_RESET, _AGAIN, _DISARM),
+    "carry": (_CARRY,),
+    "carry, lower": (_CARRY, _LOWER),
+    "lower": (_LOWER,),
+    "disarm, reset": (_DISARM, _RESET),
 }
 """What the operator does after a reaction."""
 APART_S = 2.5
@@ -89,10 +99,10 @@ class Operator:
     def __init__(self, rig: Lockstep, course: Course) -> None:
         self._rig = rig
         self._steps = list(course.steps)
-        self._then: tuple[Verb, ...] = ()
+        self._then: tuple[tuple[Verb, tuple[float, ...]], ...] = ()
         self._after_s = 0.0
         self._left = 0
-        self._queue: list[tuple[int, Verb]] = []
+        self._queue: list[tuple[int, Verb, tuple[float, ...]]] = []
         self._mode, self._since_ns = Mode.DISARMED, rig.clock.now()
 
     def afterwards(self, then: str, after_s: float) -> None:
@@ -118,9 +128,12 @@ class Operator:
         if mode is Mode.FAULT and not self._queue and self._left and for_s >= self._after_s:
             self._left -= 1
             self._steps.clear()
-            self._queue = [(now_ns + round(i * APART_S * 1e9), verb) for i, verb in enumerate(self._then)]
+            self._queue = [
+                (now_ns + round(i * APART_S * 1e9), verb, values) for i, (verb, values) in enumerate(self._then)
+            ]
         if self._queue and now_ns >= self._queue[0][0]:
-            self._rig.give(self._queue.pop(0)[1])
+            _, verb, values = self._queue.pop(0)
+            self._rig.give(verb, *values)
 
 
 def silenced(rig: Lockstep, course: Course, t_s: float) -> None:

@@ -9,6 +9,7 @@ from hil.faults import in_controller, in_device, in_plant, on_bus
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
 from hil.faults.stand import Injector, Stand
 from rigctl.devices import objects
+from rigctl.devices.objects import DriveState
 
 CELL_NOISE_N = 0.03
 ROPE_MM = 40.0
@@ -29,6 +30,12 @@ class DrawnKind:
     high: float = 1.0
     _: KW_ONLY
     signed: bool = False
+    delays: bool = False
+    """Its size is the age in ticks that it adds to what is received."""
+
+    def shown_late_s(self, size: float) -> float:
+        """Age in s that it adds to the statusword shown."""
+        return size * TICK_S if self.delays else 0.0
 
 
 def _encoder_stuck(_: float) -> Injector:
@@ -75,6 +82,11 @@ KINDS = (
     DrawnKind("rpdo_late", "drive", "the drive acts on its RPDO {:.0f} ticks late",
          lambda ticks: in_device.rpdo_late(max(1, round(ticks))), 1.0, 100.0),
     DrawnKind("drive_trips", "drive", "the drive trips", lambda _: in_device.trips(0x2310)),
+    DrawnKind("e_stop", "drive", "the emergency stop is pressed for {:.2g} s", in_device.e_stop, 0.05, 20.0),
+    DrawnKind("drive_lies_off", "drive", "once it is commanded off, the drive reports so and keeps its power",
+         lambda _: in_device.lies_off()),
+    DrawnKind("drive_reports_off", "drive", "the drive reports SWITCH ON DISABLED, and goes on as it is commanded",
+         lambda _: in_device.state_reported(DriveState.SWITCH_ON_DISABLED)),
     DrawnKind("sync_lost", "bus", "no device receives SYNC", lambda _: on_bus.sync_lost()),
     DrawnKind("sync_unheard", "bus", "the drive takes no frame for SYNC",
          lambda _: in_device.sync_unheard(on_bus.drive)),
@@ -82,13 +94,17 @@ KINDS = (
     DrawnKind("frames_lost", "bus", "{:.2g} of all frames are lost", on_bus.lost, 0.001, 0.3),
     DrawnKind("frames_gone", "bus", "all frames are lost for {:.2g} s", on_bus.burst, 0.005, 0.5),
     DrawnKind("frames_late", "bus", "the devices' frames are {:.0f} ticks late",
-         lambda ticks: on_bus.late(max(1, round(ticks))), 1.0, 30.0),
+         lambda ticks: on_bus.late(max(1, round(ticks))), 1.0, 30.0, delays=True),
     DrawnKind("drive_samples_frozen", "bus", "the drive's samples go on with frozen content",
          lambda _: on_bus.frozen(on_bus.drive)),
     DrawnKind("drive_silent", "bus", "the drive's samples stop", lambda _: on_bus.silent(on_bus.drive)),
     DrawnKind("watch_lost", "bus", "the drive's watch over the heartbeat is switched off unseen",
          lambda _: in_device.setting_lost(objects.CONSUMER_HEARTBEAT, 1)),
     DrawnKind("brake_slips", "brake", "the closed brake gives way by {:.2g} mm/s", in_device.brake_slips, 0.02, 2.0),
+    DrawnKind("brake_late", "brake", "the brake closes {:.0f} ms late",
+         lambda ms: in_device.brake_closes_late(round(ms)), 10.0, 1000.0),
+    DrawnKind("brake_drags", "brake", "the brake opens partly, with {:.2g} N of friction",
+         in_device.brake_drags, 20.0, 400.0),
     DrawnKind("brake_open", "brake", "the brake does not hold", lambda _: in_device.brake_stays_open()),
     DrawnKind("brake_closed", "brake", "the brake has closed by itself", lambda _: in_device.brake_stays_closed()),
     DrawnKind("rope_slips", "rope", f"the rope slips at {{:.2g}} mm/s, at most {ROPE_MM:g} mm",

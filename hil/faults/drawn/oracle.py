@@ -80,6 +80,7 @@ def judge(draw: Draw, settings: RigSettings, branch: Branch, twin_rows: npt.NDAr
         findings.append(f"the load was {unseen_n:.1f} N off, expected at most {cap_n:.1f}")
     findings += _sinks(rows, k, allowed_n, from_row)
     findings += _killed(branch, found, k, period_s)
+    findings += branch.false
     return DrawVerdict(
         draw.index, None if seen_at is None else seen_at * period_s, moved_n, unseen_n, allowed_n, cap_n,
         end * period_s, Mode(int(rows["mode"][-1])).name, branch.trips, tuple(findings),

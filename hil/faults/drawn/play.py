@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import numpy.typing as npt
 
 from hil.branching import BranchPoint
@@ -14,8 +15,9 @@ from hil.faults.drawn import courses, kinds
 from hil.faults.drawn.courses import Course, Operator
 from hil.faults.drawn.draw import Draw, PartFault
 from hil.faults.drawn.watch import FrameWatch
-from hil.faults.lockstep_run import kill
+from hil.faults.lockstep_run import RecordedTruth, kill
 from hil.faults.stand import Stand, Step
+from hil.faults.statements import false_statements
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
@@ -24,11 +26,12 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices.remote_node import SilentError
+from rigctl.ipc.record import Flag
 
 REST_S = 3.0
 """A load that has not moved for so long, with the drive off, its brake closed and no command to come, stays."""
 REST_MM = 0.005
-_LOOK_EVERY = 100  # periods
+_LOOK_EVERY, _READ_EVERY = 100, 1000  # periods
 
 
 @dataclass(frozen=True)
@@ -41,6 +44,8 @@ class Branch:
     """Row from which on the loop was dead; None where the drive was off by then."""
     trips: tuple[str, ...]
     error: str = ""
+    false: tuple[str, ...] = ()
+    """Statements of the records that the truth denies, from the first fault on."""
 
 
 def play(
@@ -141,6 +146,7 @@ def branch(run: CourseRun, draw: Draw) -> Branch:
     """Go on with the draw's faults to its end, then kill the loop if the drive is still on."""
     rig = run.rig
     rig.events.read()
+    stated = _Stated(run, draw)
     run.operator.afterwards(draw.then, draw.then_after_s)
     waiting = list(draw.faults)
     end_s = draw.faults[0].at_s + draw.seconds
@@ -153,6 +159,8 @@ def branch(run: CourseRun, draw: Draw) -> Branch:
         except SilentError:  # the daemon could not start anew: no loop from here on
             break
         ticks += 1
+        if ticks % _READ_EVERY == 0:
+            stated.read()
         if ticks % _LOOK_EVERY == 0 and not waiting and run.rests:
             break
     trips = tuple(
@@ -160,10 +168,41 @@ def branch(run: CourseRun, draw: Draw) -> Branch:
         for event in rig.events.read()
         if event["kind"] == Kind.TRIP
     )
+    false = stated.false()
     killed_at = len(run.watch.rows) if rig.rig.drive.control.stage.powered else None
     if killed_at is not None or run.t_s < end_s:
         kill(rig)
-    return Branch(run.watch.array(), killed_at, trips)
+    return Branch(run.watch.array(), killed_at, trips, false=false)
+
+
+class _Stated:
+    """What the records of a branch say, from its first fault on."""
+
+    def __init__(self, run: CourseRun, draw: Draw) -> None:
+        rig = run.rig
+        self._settings, self._watch, self._from_row = rig.settings, run.watch, len(run.watch.rows)
+        self._origin_ns = rig.clock.now()
+        self._late_s = sum(kinds.BY_NAME[fault.kind].shown_late_s(fault.size) for fault in draw.faults)
+        self._before = rig.runtime.records.reader(from_start=True).read()[-1]
+        self._reader = rig.runtime.records.reader()
+        self._parts: list[npt.NDArray[Any]] = []
+
+    def read(self) -> None:
+        """Take the records until now: the ring holds the last seconds only."""
+        self._parts.append(self._reader.read())
+
+    def false(self) -> tuple[str, ...]:
+        """The statements until now that the truth denies."""
+        self.read()
+        records, rows = np.concatenate(self._parts), self._watch.array(self._from_row)
+        if not len(records):
+            return ()
+        truth = RecordedTruth(
+            (rows["t_ns"] - self._origin_ns) * 1e-9, rows["tension_n"], rows["stroke_mm"], rows["enabled"],
+            rows["powered"], rows["closed"], (records["t_ns"] - self._origin_ns) * 1e-9, records, self._before,
+        )  # fmt: skip
+        off_before = bool(self._before["flags"] & Flag.DRIVE_OFF)
+        return tuple(false_statements(truth, self._settings, off_late_s=self._late_s, off_before=off_before))
 
 
 def branches(

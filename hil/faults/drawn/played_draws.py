@@ -88,8 +88,7 @@ def replayed(rig: RigSettings, draw: Draw) -> Judged:
         ScenarioError: the design of its rig is refused.
     """
     settings = draw.rig.settings(rig)
-    branches, twin = play.play(settings, design(settings), draw.course, [draw])
-    return draw, oracle.judge(draw, settings, branches[0], twin)
+    return _watched(settings, design(settings), draw.course, [draw])[0]
 
 
 def _start(rig: RigSettings) -> None:
@@ -100,12 +99,17 @@ def _play_block(seed: int, number: int, indices: tuple[int, ...]) -> tuple[list[
     began_s = _processor_s()
     drawn_rig, settings, gains, course = block_of(_rig[0], seed, number)
     draws = [pair_of(seed, index, drawn_rig, course) for index in indices]
+    return _watched(settings, gains, course, draws), _processor_s() - began_s
+
+
+def _watched(settings: RigSettings, gains: Gains, course: str, draws: Sequence[Draw]) -> list[Judged]:
+    """Draws, judged; those whose load still moves at their end are watched for `LONGER_S` more."""
     judged = _judged(settings, gains, course, draws)
     longer = [replace(draw, seconds=draw.seconds + LONGER_S) for draw, verdict in judged if verdict.moves_on]
     if longer:
         found = {one[0].index: one for one in _judged(settings, gains, course, longer)}
         judged = [found.get(one[0].index, one) for one in judged]
-    return judged, _processor_s() - began_s
+    return judged
 
 
 def _judged(settings: RigSettings, gains: Gains, course: str, draws: Sequence[Draw]) -> list[Judged]:

@@ -19,6 +19,7 @@ ROW = np.dtype(
     [
         ("t_ns", "<i8"),
         ("tension_n", "<f8"), ("stroke_mm", "<f8"), ("free_mm", "<f8"), ("powered", "?"), ("braked", "?"),
+        ("enabled", "?"), ("closed", "?"),
         ("mode", "u1"),
         ("command_mm_s", "<f8"), ("cell_n", "<f8"), ("status", "<u2"), ("position_mm", "<f8"), ("speed_mm_s", "<f8"),
         ("long_deg", "<f8"), ("lateral_deg", "<f8"), ("current", "<i2"), ("inputs", "<u4"),
@@ -26,7 +27,8 @@ ROW = np.dtype(
         ("others", "<u4"),
     ]
 )  # fmt: skip
-"""``braked``: the drive is off and leaves the load to its brake, which may not hold. ``others``: checksum of heartbeats
+"""``braked``: the drive is off and leaves the load to its brake, which may not hold. ``enabled`` and ``closed``: as of
+`hil.faults.lockstep_run.RecordedTruth`. ``others``: checksum of heartbeats
 and emergency messages of this period; ages in periods."""
 _LISTENED = range(0x700, 0x780)
 _EMERGENCIES = range(0x81, 0x100)
@@ -78,14 +80,16 @@ class FrameWatch:
                 others = zlib.crc32(frame, others)
         rig.hub.log.clear()
         plant = rig.rig.plant
-        truth, stage = plant.truth, rig.rig.drive.control.stage
+        truth, control = plant.truth, rig.rig.drive.control
+        stage = control.stage
         self.rows.append(
             (
                 truth.t_ns, truth.tension_n, truth.stroke_mm, float(plant.parameters["free_length"][0]),
-                stage.powered, stage.phase is StagePhase.BRAKED, int(rig.loop.machine.mode), *last, others,
+                stage.powered, stage.phase is StagePhase.BRAKED, control.enabled, stage.braked,
+                int(rig.loop.machine.mode), *last, others,
             )
         )  # fmt: skip
 
-    def array(self) -> npt.NDArray[Any]:
-        """All rows, dtype ``ROW``."""
-        return np.array(self.rows, ROW)
+    def array(self, from_row: int = 0) -> npt.NDArray[Any]:
+        """The rows from one on, dtype ``ROW``."""
+        return np.array(self.rows[from_row:], ROW)
