@@ -92,7 +92,7 @@ def _no_key(daemon: LocalDaemon | None, error: NoKeyError) -> Unanswered:
         return Unanswered(Obstacle.NOT_ALLOWED, str(error), _ELSEWHERE, ("Give a key file.", _AT_RIG))
     wrong = f"{user_name(os.geteuid())} may not open {daemon.place.place(GATEWAY_SOCKET)}, and has no key file"
     mend = "root: rigctl install FILE --viewer USER, or a key file in RIGCTL_KEY."
-    return _with_slot(Obstacle.NOT_ALLOWED, wrong, (mend, "rigctl hold works without."), daemon)
+    return _with_slot(Obstacle.NOT_ALLOWED, wrong, (mend, "rigctl hold needs neither."), daemon)
 
 
 def _local(daemon: LocalDaemon) -> Unanswered:
@@ -140,7 +140,7 @@ def _gateway(daemon: LocalDaemon, state: dict[str, Any] | None) -> Unanswered:
     what = f"it hangs, or is just starting (process {pid})" if lives else "it has ended"
     wrong = f"{what}: nothing is published, no command but HOLD is taken"
     again = "rigctl status again: a gateway that has ended or hangs is started anew within 10 s."
-    return _with_slot(Obstacle.GATEWAY, wrong, ("rigctl hold works, past the gateway.", again), daemon)
+    return _with_slot(Obstacle.GATEWAY, wrong, (_HALL, "rigctl hold works, past the gateway.", again), daemon)
 
 
 def _with_slot(cause: Obstacle, wrong: str, steps: tuple[str, ...], daemon: LocalDaemon) -> Unanswered:

@@ -106,7 +106,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
     }
 
 
-_HOLD_STOPPED = "HOLD does not work: the loop that takes it writes no records. The emergency stop does."
+_HOLD_STOPPED = "HOLD does not work: the loop writes no records. The emergency stop works."
 _HOLD_LOCAL = "HOLD goes to the loop itself, without what is silent: press it, and read its answer."
 _HOLD_FAR = "HOLD goes the way that is silent now: use the emergency stop, or rigctl hold at the rig's computer."
 

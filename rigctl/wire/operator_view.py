@@ -321,7 +321,8 @@ def _of_other_causes(
     active = [cause for cause in causes if cause.stands and cause.fault not in explained(state)]
     root = next((cause for cause in active if cause.blocks_reset), next(iter(active), causes[0]))
     over = bool(active) and all(cause.fault != state.get("fault") for cause in active) and root.fault not in _SAID
-    if root.remedy and (over or not parts):  # the remedy of a symptom leads astray
+    said = root.fault == Fault.E_STOP.name  # its release is a step of its own, after a look at the hall
+    if root.remedy and not said and (over or not parts):  # the remedy of a symptom leads astray
         places = suspects(Fault.__members__.get(root.fault, Fault.NONE)) or (HandsAt.RIG,)
         remedy = _sentence(_RESET_SAID.sub("", root.remedy).rstrip("."))
         yield Instruction(remedy, places=places, hands=Hands.MEND)

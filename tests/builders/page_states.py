@@ -125,7 +125,7 @@ def state(
         "fault_code": int(fault), "fault_text": text,
         "causes": causes, "held_by": by.name, "held_by_code": int(by), "power_off": None,
         **drive_reports(by),
-        "load_at_rest": "BOTH", "checks": 0,
+        "load_at_rest": _at_rest(moves=moves, lost=lost, fault=fault), "checks": 0,
         "preflight": {"failing": {}, "waived": {"CALIBRATION": "simulated cell: there is no weight to hang on it"}},
         "quality": quality, "vertical_n": 300.04, "tension_n": 300.06, "target_n": 300.0, "setpoint_n": 300.06,
         "error_n": 0.04 if compensating else None, "error_pct": 0.013 if compensating else None, "stroke_mm": 52.3,
@@ -141,6 +141,16 @@ def state(
         "gateway_wall_ns": 1, **more,
     }  # fmt: skip
     return {"offers": offered(made), **made}
+
+
+def _at_rest(*, moves: bool, lost: frozenset[str], fault: Fault) -> str:
+    """What shows the load at rest, of the devices that are heard and not in doubt."""
+    if moves:
+        return "MOVES"
+    tension = "tension" not in lost and fault is not Fault.CELL_STUCK
+    if "drive" in lost:
+        return "TENSION" if tension else "UNKNOWN"
+    return "BOTH" if tension else "STROKE"
 
 
 def drive_reports(by: HeldBy) -> dict[str, str | None]:

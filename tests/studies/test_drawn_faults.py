@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import json
 import pathlib
+from dataclasses import replace
 
 import pytest
 
 from hil.cli import draw as command
 from hil.faults.drawn import draw_file, oracle, played_draws
-from hil.faults.drawn.draw import BLOCK, block_of, pair_of
+from hil.faults.drawn.draw import Draw, DrawnRig, PartFault, block_of, pair_of
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file
+from rigctl.control.load_at_rest import LoadRest
+from rigctl.control.modes import LoadAtRest
 from tests.builders.paths import ROOT
 
 RIG = ROOT / "config/paper_rig.yaml"
@@ -55,14 +58,38 @@ def test_a_miss_is_written_as_a_file_and_ends_with_1(
     assert "1 beyond the bound" in capsys.readouterr().out
 
 
-def test_a_load_that_moves_within_the_bounds_at_its_end_is_watched_until_the_rig_reacts(tmp_path: pathlib.Path) -> None:
-    """Draw 613: a cell that freezes; its seconds are over before the bound of the unseen travel ends it."""
-    found = tmp_path / "draw.json"
-    assert command.run(RIG, 614, 1, ["613"], found) == 0
-    (verdict,) = json.loads(found.read_text())["draws"]
-    drawn, _, _, course = block_of(rig_file.load(RIG), 1, 613 // BLOCK)
-    assert verdict["draw"]["seconds"] == pair_of(1, 613, drawn, course).seconds + played_draws.LONGER_S
-    assert any("LOAD_UNSEEN" in trip for trip in verdict["trips"])
+def test_a_load_that_moves_within_the_bounds_at_its_end_is_watched_until_the_rig_reacts() -> None:
+    """A cell that freezes; the draw's seconds are over before the bound of the unseen travel ends it."""
+    freezes = a_draw(
+        DrawnRig(31.07, 270.3, 350.0, limits=False), "compensating",
+        (PartFault("cell_frozen", 0.02398, 7.171), PartFault("backlash_grows", 9.037, 7.171)), 3.29,
+    )  # fmt: skip
+    draw, verdict = played_draws.replayed(rig_file.load(RIG), replace(freezes, index=613, then="reset"))
+    assert verdict.ok
+    assert draw.seconds == freezes.seconds + played_draws.LONGER_S
+    assert any("LOAD_UNSEEN" in trip for trip in verdict.trips)
+
+
+def test_what_the_records_say_is_judged_by_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A brake that slips, with a load at rest in every record."""
+    slips = a_draw(DrawnRig(6.0, None, 300.0, limits=True), "disarmed", (PartFault("brake_slips", 0.3, 1.5),), 6.0)
+    assert not said(slips)
+
+    def at_rest(rest: LoadRest, *_: object) -> LoadAtRest:
+        rest.shown = LoadAtRest.BOTH
+        return rest.shown
+
+    monkeypatch.setattr(LoadRest, "look", at_rest)
+    assert any(found.startswith("load at rest in") for found in said(slips))
+
+
+def a_draw(rig: DrawnRig, course: str, faults: tuple[PartFault, ...], seconds: float) -> Draw:
+    return Draw(1, 0, rig, course, faults, "nothing", 0.5, seconds)
+
+
+def said(draw: Draw) -> list[str]:
+    """Statements against the truth."""
+    return [found for found in played_draws.replayed(rig_file.load(RIG), draw)[1].findings if "against the" in found]
 
 
 @pytest.mark.parametrize("number", ["2", "-1", "cell_silent"])
