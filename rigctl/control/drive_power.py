@@ -5,6 +5,9 @@ from __future__ import annotations
 from rigctl.control.modes import DrivePower
 from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, DriveState, drive_state
 
+CURRENT_SHARE = 0.05
+"""Of the motor's rated current: more shows power, less shows nothing."""
+
 
 def drive_shown(statusword: int, *, off: bool, taking: bool) -> tuple[DriveState, DrivePower]:
     """The state that a statusword reports, and whether the power is off.

@@ -8,6 +8,7 @@ from collections import deque
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import STILL_NS, Standstill, cut_off_ns, stopping_ns
 from rigctl.control.cell_correction import CellHistory
+from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
@@ -56,8 +57,8 @@ _CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RES
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
 SETTLES_NS = REST_NS + 1_000_000_000  # from a closed brake to a load seen at rest, once it has swung out
-CURRENT_SHARE, CURRENT_NS = 0.05, 500_000_000
-"""Of the motor's rated current, for so long after the drive reports off: more shows power, less shows nothing."""
+CURRENT_NS = 500_000_000
+"""For so long after the drive reports off, `CURRENT_SHARE` of the motor's rated current shows power."""
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -108,6 +109,8 @@ class Residuals:
     """The same once the drive was off after the trip; NaN where it stayed on."""
     speed_noise_mm_s: float = 0.0
     powered: bool = True
+    off_with_a: float = 0.0
+    """Motor current beside a state without power, at the trip; 0 where it is none."""
     # Inclination
     tilt_step_deg: float = 0.0
     tilt_deg: float = 0.0
@@ -259,11 +262,18 @@ def _signals(window: TripWindow) -> dict[str, object]:
     found["gone_mm"] = gone_mm if math.isfinite(gone_mm) else 0.0
     found["unexplained_mm"] = (tension[trip] - reference_n) / stiffness - gone_mm
     found["powered"] = bool(records["flags"][max(trip - 1, 0)] & Flag.DRIVE_ENABLED)
+    found["off_with_a"] = _off_with_a(records[max(trip - 1, 0)], window.settings)
     found |= _motion(records, trip, window.settings)
     span = slice(max(trip - 200, 0), trip + 1)
     found["speed_noise_mm_s"] = float(np.sqrt(np.mean(np.diff(speed[span]) ** 2) / 2.0)) if trip > 2 else 0.0
     found |= _tilt(records, healthy, trip)
     return found
+
+
+def _off_with_a(record: np.void, settings: RigSettings) -> float:
+    current_a = abs(float(record["drive_current_a"]))
+    flows = current_a > CURRENT_SHARE * (settings.cylinder.rated_current_a or math.inf)  # False for NaN
+    return current_a if flows and record["flags"] & Flag.DRIVE_OFF else 0.0
 
 
 def _median(values: Floats) -> float:

@@ -59,6 +59,7 @@ SHOWN: list[tuple[Fault, dict[str, Any], tuple[Part, ...], str]] = [
     (Fault.DRIVE_NOT_FOLLOWING, {"command_mm_s": 1.9, "speed_mm_s": 1.0, "position_mm_s": 1.0},
      (Part.DRIVE, Part.BRAKE), "motor or brake"),
     (Fault.STROKE_MOVES, {"gone_mm": -0.1, "unexplained_mm": 0.1}, (Part.ENCODER,), "does not show it"),
+    (Fault.DRIVE_UNASKED, {"off_with_a": 0.6}, (Part.DRIVE,), "off while its motor carries 0.60 A"),
     (Fault.DRIVE_UNASKED, {}, (Part.MASTER, Part.DRIVE), "without this program's command"),
     (Fault.DRIVE_REFUSES, {}, (Part.DRIVE, Part.MASTER), "as commanded"),
     (Fault.DRIVE_FAULT, {}, (Part.DRIVE,), "fault of its own"),
