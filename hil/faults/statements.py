@@ -26,17 +26,20 @@ SHOWN_TICKS = 2
 """Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
 ROUNDING_S = 1e-6
 RESTS_MM = 0.1
-"""A load that is called at rest has moved less within `REST_S`, as stroke or as stretch."""
+"""A load that is called at rest has moved less within `REST_S`, as stroke and, where the tension is known, as stretch."""
 SWINGS = 2.0
 """Of that, as stretch, on a stroke at rest: a payload that bounces goes both ways."""
 CLOSES_S = 3.0
 """A drive that is said to stop, to close its brake and to go off has done so by then."""
 SLIPPED_MM = 0.03
 """Motion on the closed brake, true or reported, behind a flag that is set: the smallest limit is 0.04 mm."""
+SUNK_MM = 0.2
+"""Stretch lost on the closed brake, behind a flag that is set: a rope that gives way and a brake that does behind an
+encoder that shows nothing are the same."""
 UNFLAGGED_MM = 2.0
 """Motion on a closed brake after which the flag is set, once the tension has shown it for its time."""
 _CONFIRMED = [int(shown) for shown in PowerOff if shown.confirmed]
-_RESTS = [int(shown) for shown in LoadAtRest if shown.rests]
+_RESTS = [int(shown) for shown in LoadAtRest if shown.rests and shown is not LoadAtRest.STROKE]
 _BY_MOTOR = [HeldBy.MOTOR, HeldBy.NOTHING]
 _BLOCK = 10
 """Samples of the truth that make one of a window."""
@@ -71,8 +74,10 @@ def _statements(run: RecordedTruth, settings: RigSettings, off_late_s: float, of
     records, flags = run.records, run.records["flags"]
     latched_s = off_late_s + SHOWN_TICKS * settings.loop.period_ns * 1e-9
     silent_s = latched_s + settings.safety.stale_ms * 1e-3
-    off, rests = ~run.powered, _rests(run, settings)
-    held_by = records["held_by"]
+    off, still = ~run.powered, _range(run.stroke_mm, run) <= RESTS_MM
+    rests = still & (_range(run.tension_n / settings.plant.stiffness_n_mm, run) <= SWINGS * RESTS_MM)
+    held_by, shown = records["held_by"], records["load_at_rest"]
+    by_stroke = shown == LoadAtRest.STROKE  # the tension is not known then, and a payload may swing
     yield Statement(
         "power off shown", (flags & Flag.DRIVE_OFF != 0) | np.isin(records["power_off"], _CONFIRMED), off, latched_s,
         off_before,
@@ -81,13 +86,17 @@ def _statements(run: RecordedTruth, settings: RigSettings, off_late_s: float, of
     fresh = records["drive_quality"] == 0
     yield Statement("drive enabled", (flags & Flag.DRIVE_ENABLED != 0) & fresh, run.enabled, silent_s)
     yield Statement("brake closing", held_by == HeldBy.CLOSING, off | ~rests, CLOSES_S, process=True)
-    yield Statement("held by the brake", held_by == HeldBy.BRAKE, off & run.closed & rests, REST_S)
-    yield Statement("load at rest", np.isin(records["load_at_rest"], _RESTS), rests, REST_S)
+    braked = held_by == HeldBy.BRAKE
+    yield Statement("held by the brake", braked & ~by_stroke, off & run.closed & rests, REST_S)
+    yield Statement("held by the brake", braked & by_stroke, off & run.closed & still, REST_S)
+    yield Statement("load at rest", np.isin(shown, _RESTS), rests, REST_S)
+    yield Statement("load at rest by the stroke", by_stroke, still, REST_S)
     closes_s = settings.cylinder.brake_delay_ms * 1e-3
     fails = flags & Flag.BRAKE_FAILS != 0
     if settings.cylinder.brake_waiver is None and not fails[0]:
         moved_mm = (_slipped_mm(run, values, closes_s, from_off=True) for values in (run.stroke_mm, _reported_mm(run)))
-        slipped = np.maximum(*moved_mm) > SLIPPED_MM
+        sunk = _sunk_n(run) > SUNK_MM * settings.plant.stiffness_n_mm
+        slipped = (np.maximum(*moved_mm) > SLIPPED_MM) | sunk
         slipped_mm = _slipped_mm(run, run.stroke_mm, closes_s, from_off=False)
         yield Statement("brake does not hold", fails, slipped, 0.0, true_before=False)
         yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
@@ -111,12 +120,6 @@ def _false(one: Statement, run: RecordedTruth) -> Iterator[str]:
         yield f"{one.words} in {len(wrong)} ticks against the truth, first {run.records_t_s[wrong[0]]:.3f} s"
 
 
-def _rests(run: RecordedTruth, settings: RigSettings) -> Bools:
-    """At each sample: the load has moved by no more than `RESTS_MM` within the last `REST_S`."""
-    stretch_mm = run.tension_n / settings.plant.stiffness_n_mm
-    return (_range(run.stroke_mm, run) <= RESTS_MM) & (_range(stretch_mm, run) <= SWINGS * RESTS_MM)
-
-
 def _range(values: Floats, run: RecordedTruth) -> Floats:
     """Greatest less least value of the last `REST_S`; what was before the run counts as its first value."""
     step_s = float(np.median(np.diff(run.t_s)))
@@ -134,6 +137,14 @@ def _reported_mm(run: RecordedTruth) -> Floats:
     at = np.searchsorted(run.records_t_s, run.t_s, side="right") - 1
     reported: Floats = run.records["stroke_mm"][np.maximum(at, 0)]
     return reported
+
+
+def _sunk_n(run: RecordedTruth) -> Floats:
+    """At each sample: the most that the tension has fallen so far while the brake alone had the load."""
+    alone = run.closed & ~run.powered
+    fallen_n = np.maximum.accumulate(np.where(alone, run.tension_n, -math.inf)) - run.tension_n
+    found: Floats = np.maximum.accumulate(np.where(alone, fallen_n, 0.0))
+    return found
 
 
 def _slipped_mm(run: RecordedTruth, stroke_mm: Floats, closes_s: float, *, from_off: bool) -> Floats:

@@ -64,7 +64,9 @@ class LoadRest:
         by_tension = self.tension_seen and not self.slack
         by_stroke = not causes & STROKE_BITS and snapshot.drive_age_ns <= self._stale_ns
         falls = snapshot.t_ns - self._falls_ns >= BOUNCE_NS
-        tension_moves = by_tension and (self.tension_ns < REST_NS or falls)
+        # Also of a rope that is slack by now, and of a cell that has come into doubt since.
+        moved = snapshot.t_ns - self._from_ns < REST_NS
+        tension_moves = moved or (by_tension and falls)
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN

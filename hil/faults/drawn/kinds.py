@@ -30,12 +30,12 @@ class DrawnKind:
     high: float = 1.0
     _: KW_ONLY
     signed: bool = False
-    delays: bool = False
-    """Its size is the age in ticks that it adds to what is received."""
+    delays_s: float = 0.0
+    """Age that it adds to what is received, by its size."""
 
     def shown_late_s(self, size: float) -> float:
         """Age in s that it adds to the statusword shown."""
-        return size * TICK_S if self.delays else 0.0
+        return size * self.delays_s
 
 
 def _encoder_stuck(_: float) -> Injector:
@@ -94,7 +94,7 @@ KINDS = (
     DrawnKind("frames_lost", "bus", "{:.2g} of all frames are lost", on_bus.lost, 0.001, 0.3),
     DrawnKind("frames_gone", "bus", "all frames are lost for {:.2g} s", on_bus.burst, 0.005, 0.5),
     DrawnKind("frames_late", "bus", "the devices' frames are {:.0f} ticks late",
-         lambda ticks: on_bus.late(max(1, round(ticks))), 1.0, 30.0, delays=True),
+         lambda ticks: on_bus.late(max(1, round(ticks))), 1.0, 30.0, delays_s=TICK_S),
     DrawnKind("drive_samples_frozen", "bus", "the drive's samples go on with frozen content",
          lambda _: on_bus.frozen(on_bus.drive)),
     DrawnKind("drive_silent", "bus", "the drive's samples stop", lambda _: on_bus.silent(on_bus.drive)),
@@ -112,7 +112,7 @@ KINDS = (
     DrawnKind("spring_changes", "rope", "the spring is {:.2g} times as stiff", in_plant.spring_stiffens, 0.7, 1.5),
     DrawnKind("backlash_grows", "rope", "the nut has {:.2g} times its play", in_plant.backlash, 2.0, 10.0),
     DrawnKind("loop_hangs", "process", "the loop is {:.2g} s late",
-         lambda s: in_controller.hangs(round(s / TICK_S)), 0.003, 0.5),
+         lambda s: in_controller.hangs(round(s / TICK_S)), 0.003, 0.5, delays_s=1.0),
     DrawnKind("loop_skips", "process", "the loop misses 6 ticks every {:.2g} s",
          lambda s: in_controller.overruns(6, s), 0.03, 3.0),
 )  # fmt: skip

@@ -23,12 +23,12 @@ class Load:
         self._rest, self._t_ns = LoadRest(PAPER), 0
         assert self.look(REST_NS + STEP_NS) is LoadAtRest.BOTH
 
-    def look(self, time_ns: int, *, sinks_n: float = 0.0, causes: int = 0) -> LoadAtRest:
+    def look(self, time_ns: int, *, sinks_n: float = 0.0, causes: int = 0, tension_n: float = 300.0) -> LoadAtRest:
         """What it shows after this time."""
         for _ in range(time_ns // STEP_NS):
             self._t_ns += STEP_NS
             snapshot = Snapshot(
-                t_ns=self._t_ns, tension_n=300.0, sinks_n=sinks_n, still_ns=REST_NS, cell_age_ns=0, drive_age_ns=0
+                t_ns=self._t_ns, tension_n=tension_n, sinks_n=sinks_n, still_ns=REST_NS, cell_age_ns=0, drive_age_ns=0
             )
             shown = self._rest.look(causes, snapshot)
         return shown
@@ -51,3 +51,13 @@ def test_a_fall_that_ends_as_that_of_a_bounce_is_no_motion() -> None:
 )  # fmt: skip
 def test_a_cause_that_doubts_a_witness_leaves_the_other(causes: tuple[Fault, ...], shown: LoadAtRest) -> None:
     assert Load().look(STEP_NS, causes=sum(1 << fault for fault in causes)) is shown
+
+
+def test_a_tension_that_moved_shows_no_rest_once_it_is_in_doubt_or_slack() -> None:
+    """It moved until now, and the stroke alone, at rest all along, would show a load at rest at once."""
+    for then_n, causes in ((300.0, 1 << Fault.STRETCH_UNEXPLAINED), (0.0, 0)):
+        load = Load()
+        for step in range(100):
+            assert load.look(STEP_NS, tension_n=310.0 + step) is not LoadAtRest.STROKE
+        assert load.look(REST_NS - STEP_NS, causes=causes, tension_n=then_n) is LoadAtRest.MOVES
+        assert load.look(2 * REST_NS, causes=causes, tension_n=then_n) is LoadAtRest.STROKE
