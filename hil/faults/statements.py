@@ -26,7 +26,7 @@ SHOWN_TICKS = 2
 """Age of a statusword in ticks: latched at one SYNC, read in the next tick, and the grid of the truth."""
 ROUNDING_S = 1e-6
 RESTS_MM = 0.1
-"""A load that is called at rest has moved less within `REST_S`, as stroke and, where the tension is known, as stretch."""
+"""A load that is called at rest has moved less within `REST_S`, as stroke and, if the tension is known, as stretch."""
 SWINGS = 2.0
 """Of that, as stretch, on a stroke at rest: a payload that bounces goes both ways."""
 CLOSES_S = 3.0
