@@ -99,7 +99,7 @@ def _statements(run: RecordedTruth, settings: RigSettings, off_late_s: float, of
         slipped = (np.maximum(*moved_mm) > SLIPPED_MM) | sunk
         slipped_mm = _slipped_mm(run, run.stroke_mm, closes_s, from_off=False)
         yield Statement("brake does not hold", fails, slipped, 0.0, true_before=False)
-        yield Statement("brake holds", ~fails, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
+        yield Statement("brake holds", ~fails & fresh, slipped_mm < UNFLAGGED_MM, FALLS_NS * 1e-9)
 
 
 def _false(one: Statement, run: RecordedTruth) -> Iterator[str]:
