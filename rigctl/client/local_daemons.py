@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from rigctl.config.address import EVERY_ADDRESS, NETWORK_PROTOCOLS, Address, is_address
-from rigctl.ipc.folder_places import ACTIVE, FORMER_PUBLIC, PUBLIC, FolderPlaces, daemon_pid
+from rigctl.ipc.folder_places import ACTIVE, PUBLIC, FolderPlaces, daemon_pid
 from rigctl.ipc.trusted_folders import entered_folders
 
 _USUAL = {"localhost", "127.0.0.1", "::1"}  # names of one computer, which the same daemon is reached at
@@ -43,7 +43,7 @@ def local_daemons(*, of_others: bool = False) -> list[LocalDaemon]:
 
 def _described(place: FolderPlaces) -> Iterator[tuple[str, str, tuple[str, ...]]]:
     """Rig, endpoint and routers to join: from the settings, or, for who may not read these, from the public file."""
-    for name in (ACTIVE, PUBLIC, FORMER_PUBLIC):
+    for name in (ACTIVE, PUBLIC):
         with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
             found = json.loads(place.sealed(name))
             settings = found["settings"] if name == ACTIVE else found

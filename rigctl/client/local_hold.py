@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import math
 import os
-import socket
 import time
 from collections.abc import Iterator
 from typing import Any
 
 from rigctl.client.local_daemons import LocalDaemon, local_daemons, meant
 from rigctl.ipc import hold_socket
-from rigctl.ipc.folder_places import FolderPlaces
 from rigctl.wire.user_name import user_name, with_user
 
 ANSWER_S = 1.0  # sending included; the loop answers in the tick that takes it, so longer is for a busy computer
 VIA = "local socket"
-FORMER = "hold.sock"
-_FORMER_BYTES = 1 << 16
+_NO_SOCKET = (
+    "has no socket for HOLD: it is about to start, or of another version, whose page or own rigctl gives it HOLD"
+)
 
 
 def held_here(endpoint: str, rig: str | None) -> list[LocalDaemon]:
@@ -42,24 +40,21 @@ def hold(endpoint: str, rig: str | None, operator: str, answer_s: float = ANSWER
 
 
 def _given(daemon: LocalDaemon, operator: str, answer_s: float) -> dict[str, Any]:
-    until, answer = time.monotonic() + answer_s, None
+    until, answer, why = time.monotonic() + answer_s, None, "does not answer"
     is_own = daemon.place.is_shared or daemon.owner == os.geteuid()
-    full = ""
     for uid in _own_numbers():
         place, left_s = daemon.place.place(hold_socket.socket_name(uid)), max(0.0, until - time.monotonic())
         try:
             given = hold_socket.give(place, operator, left_s, daemon.owner)
         except OSError as error:  # this user has no socket of his own, or the loop is just being replaced
             if uid is None and not isinstance(error, PermissionError):
+                why = _NO_SOCKET if isinstance(error, FileNotFoundError) else why
                 break
             continue
         full = _full(operator, uid)
-        answer = _silent(daemon, full) if given is None else _worded(given, full)
+        answer = _not_held(daemon, full, why) if given is None else _worded(given, full)
         break
-    full = full or _full(operator)
-    if answer is None and is_own:
-        answer = _former(daemon.place, full, max(0.0, until - time.monotonic()))
-    answer = answer or _silent(daemon, full)
+    answer = answer or _not_held(daemon, _full(operator), why)
     return answer if is_own else answer | {"text": f"{answer['text']} (the daemon is of {user_name(daemon.owner)})"}
 
 
@@ -81,8 +76,8 @@ def _full(operator: str, uid: int | None = None) -> str:
     return with_user(operator, user_name(os.geteuid() if uid is None else uid))
 
 
-def _silent(daemon: LocalDaemon, operator: str) -> dict[str, Any]:
-    text = f"HOLD: the loop of {daemon.rig} does not answer; the emergency stop needs no program"
+def _not_held(daemon: LocalDaemon, operator: str, why: str) -> dict[str, Any]:
+    text = f"HOLD: the loop of {daemon.rig} {why}; the emergency stop needs no program"
     return {"accepted": False, "verb": "hold", "operator": operator, "reason": "no_answer", "text": text, "via": VIA}
 
 
@@ -96,17 +91,3 @@ def _worded(given: hold_socket.HoldAnswer, operator: str) -> dict[str, Any]:
     from rigctl.wire.command_request import hold_refused  # slow: a refusal has time
 
     return hold_refused(given, operator) | about
-
-
-def _former(folder: FolderPlaces, operator: str, answer_s: float) -> dict[str, Any] | None:
-    """HOLD to a daemon of the version before, which may be armed while the package is upgraded: by its hold service."""
-    place = folder.directory / "hold" / FORMER if folder.is_shared else folder.directory / FORMER
-    try:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as connection:
-            connection.settimeout(answer_s)
-            connection.connect(str(place))
-            connection.send(json.dumps({"operator": operator}).encode())
-            found = json.loads(connection.recv(_FORMER_BYTES))
-    except (OSError, ValueError, RecursionError):
-        return None
-    return found if isinstance(found, dict) and {"accepted", "text"} <= found.keys() else None

@@ -52,7 +52,6 @@ class PowerOff(IntEnum):
     NONE = 0  # no such command
     AWAITED = 1
     INPUT = 2  # the drive's STO feedback at the I/O node
-    HEARTBEAT = 3  # in former recordings: the drive reports NMT stopped, and the tension does not move
     TENSION = 4  # the drive reports a state without power, and a tight rope's tension is at rest
     STROKE = 5  # slack rope: the same, and a stroke at rest
     UNCONFIRMED = 6  # nothing in time
@@ -95,12 +94,11 @@ _REST_WORDS: dict[LoadAtRest, str] = {
     LoadAtRest.STROKE: "yes, by the stroke",
     LoadAtRest.BOTH: "yes, by tension and stroke",
 }
-_CONFIRMED = frozenset({PowerOff.INPUT, PowerOff.HEARTBEAT, PowerOff.TENSION, PowerOff.STROKE})
+_CONFIRMED = frozenset({PowerOff.INPUT, PowerOff.TENSION, PowerOff.STROKE})
 _SECONDS = f"{REST_S:g} s"
 _SHOWN_WORDS: dict[PowerOff, str] = {
     PowerOff.AWAITED: "power off commanded, not yet confirmed",
     PowerOff.INPUT: "power off confirmed by the drive's STO feedback",
-    PowerOff.HEARTBEAT: "power off confirmed by the drive's heartbeat, which reports NMT stopped",
     PowerOff.TENSION: f"power off confirmed by the drive's state and a tension at rest for {_SECONDS}",
     PowerOff.STROKE: f"power off confirmed by the drive's state and a stroke at rest for {_SECONDS}, on a slack rope",
     PowerOff.UNCONFIRMED: "POWER OFF UNCONFIRMED, the drive may still move the load",
@@ -184,7 +182,7 @@ class Setting(IntEnum):
     ZERO = 128
     SCALE = 129
     OVERDUE = 130
-    HOST_CHECKS = 134  # sent before every ARM; 131 to 133 are in older recordings, see rigctl.replay.former_commands
+    HOST_CHECKS = 134  # sent before every ARM; 131 to 133 are free
     LAW_GAINS = 135
     MARGINS = 140  # the loop's sensitivity peak as measured while COMPENSATING
     CREEP = 144

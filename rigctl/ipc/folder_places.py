@@ -14,7 +14,7 @@ from rigctl.config import input_file, layout
 from rigctl.ipc import writers
 
 ACTIVE = "active.json"
-PUBLIC, FORMER_PUBLIC = "public.json", "public_key.json"
+PUBLIC = "public.json"
 """The public file, by which a client finds the daemon of an endpoint, and its name in the version before."""
 GATEWAY_SOCKET, COMMAND_SOCKET = "gateway.sock", "command.sock"
 LOCK = "lock"

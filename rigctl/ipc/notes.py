@@ -27,7 +27,6 @@ class Note(IntEnum):
     TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
     MESSAGE_REFUSED = 66  # operator: name in the certificate; other: certificate and address; reason: message and key
     CONNECTION_REFUSED = 67  # reason: what TLS found
-    FOREIGN_MESSAGE = 68  # of former versions: the access list refuses all of it now
     CONNECTION_CLOSED = 69  # operator: name in the certificate; other: who and from where; reason: why
     ENDPOINT_TAKEN = 70  # other: the endpoint, which another program has
     ENDPOINT_BACK = 71  # other: the endpoint
@@ -80,11 +79,6 @@ def worded(kind: Note, operator: str, other: str, reason: str) -> tuple[str, str
             done = "closed" if kind is Note.CONNECTION_CLOSED else "refused"
             who = f"{operator} ({other})" if operator and other else operator or other or "an unknown client"
             return "warning", f"connection of {who} {done}{why}"
-        case Note.FOREIGN_MESSAGE:
-            return (
-                "warning",
-                f"{reason} by {operator or 'another program'}, not by the daemon: not believed on this computer",
-            )
         case _:
             severity, words = _WORDS[kind]
             return severity, words.format(operator=operator, other=other, reason=reason, why=why)

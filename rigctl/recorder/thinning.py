@@ -61,7 +61,7 @@ _REPEATED_VERBS = frozenset(
 )
 _COUNTED = frozenset({
     *_SAME, "setting_lost", "command_given", "order", "reply", "emergency", "node_state", "message_refused",
-    "connection_refused", "connection_closed", "foreign_message",
+    "connection_refused", "connection_closed",
 })  # fmt: skip
 """Kinds that are counted instead of written beyond the rate."""
 

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from rigctl.control.hold_sockets import Hold
 from rigctl.ipc.record import COMMAND, Flag, FrameFlag
-from rigctl.replay.former_commands import as_of_today
 
 Slots = npt.NDArray[np.void]
 BATCH_TICKS = 1000
@@ -57,7 +56,7 @@ def ticks(records: Slots, frames: Slots, commands: Slots, holds: Slots, taken: t
     ended = (woke[:-1] + records["work_ns"][1:]).tolist() + woke[-1:].tolist()
     stopping, delayed = records["flags"] & _STOPPING != 0, np.isfinite(records["end_s"])
     requests = ((stopping | delayed) + (stopping & np.logical_or.accumulate(delayed)).astype(np.int64)).tolist()
-    ordered = _Given(as_of_today(commands), taken[0], tuple(field.name for field in COMMAND.fields))
+    ordered = _Given(commands, taken[0], tuple(field.name for field in COMMAND.fields))
     held = _Given(holds, taken[1], ("uid", "pid"))
     upto = zip(records["command_seq"].tolist(), records["hold_seq"].tolist(), strict=True)
     rows = zip(records["t_ns"].tolist(), woke.tolist(), ended, skipped, failures, requests, upto, strict=True)

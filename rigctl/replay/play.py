@@ -55,7 +55,7 @@ class ProcessSpan:
     kept_brake: KeptBrake
     cell_history: CellHistory | None
     host_checks: int
-    process_data: ProcessData | None  # None: an older recording without it, made with the default one
+    process_data: ProcessData
     cut_short: str  # why it ends before the end of the process, "" if it does not
 
 
@@ -107,8 +107,7 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
     try:
         settings = RigSettings.model_validate(active.get("settings"))
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
-        found = control.get("process_data")
-        process_data = ProcessData.of_json(found) if found is not None else None
+        process_data = ProcessData.of_json(control.get("process_data"))
         last = msgspec.convert(control.get("last_stroke", {}), LastStroke)
         brake = msgspec.convert(control.get("kept_brake", {}), KeptBrake)
         history = msgspec.convert(control.get("cell_history"), CellHistory | None)

@@ -29,15 +29,14 @@ def culprits(recording: Recording, settings: RigSettings) -> list[RecordedCulpri
 
 
 def _noted(said: Iterable[Said]) -> Iterable[Noted]:
-    """Recorded events as the loop wrote them; of an older recording the words stand for the text."""
+    """Recorded events as the loop wrote them."""
     for item in said:
         kind = Kind.__members__.get(item.what.upper())
         if kind is not None:
             details = item.details
             a, b, value, limit = (details.get(name) for name in ("a", "b", "value", "limit"))
-            yield Noted(
-                item.t_ns, kind, _whole(a), _whole(b), _real(value), _real(limit), str(details.get("about", item.text))
-            )  # fmt: skip
+            about = str(details.get("about", ""))
+            yield Noted(item.t_ns, kind, _whole(a), _whole(b), _real(value), _real(limit), about)
 
 
 def _whole(found: object) -> int:

@@ -113,7 +113,6 @@ NOTES: dict[Note, str] = {
     Note.MESSAGE_REFUSED: "the access list refused a message of operator's certificate; other: certificate and "
     "address, reason: message and key",
     Note.CONNECTION_REFUSED: "TLS refused a connection; reason: why",
-    Note.FOREIGN_MESSAGE: "somebody else puts messages on the rig's keys or answers its queries; reason: which",
     Note.ENDPOINT_TAKEN: "another program has the endpoint of the network; other: it",
     Note.AUDIT_LOG_CHANGED: "the audit log was renamed, replaced or cut while the daemon ran; reason: how",
     Note.ENDPOINT_BACK: "the endpoint of the network is the daemon's again; other: it",

@@ -89,11 +89,7 @@ def drive(state: dict[str, Any]) -> str:
     if "drive_enabled" in state.get("flag_names", []):
         return "on"
     shown = DrivePower.__members__.get(str(state.get("drive_power")))
-    if shown is not None:
-        return shown.value
-    if state.get("held_by") == "UNKNOWN":
-        return "not known"
-    return "not off" if state.get("held_by") in ("CLOSING", "TAKING") else "off"  # a daemon before this field
+    return "not known" if shown is None else shown.value
 
 
 def drive_with_state(state: dict[str, Any]) -> str:

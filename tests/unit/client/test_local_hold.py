@@ -7,13 +7,11 @@ import json
 import os
 import pathlib
 import pwd
-import socket
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
 
-import msgspec
 import pytest
 
 from rigctl.client import local_hold
@@ -23,7 +21,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import Hold, HoldSockets
 from rigctl.control.modes import Refusal
 from rigctl.ipc import runtime_folder as folders
-from rigctl.ipc.folder_places import FORMER_PUBLIC, PUBLIC
+from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, Runtime
 from tests.builders.operators import KIM
@@ -43,12 +41,11 @@ def runtime(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> Runtime:
     return found
 
 
-@pytest.mark.parametrize("name", [PUBLIC, FORMER_PUBLIC])
-def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runtime: Runtime, name: str) -> None:
-    """An operator of the installed service, of this version or the one before."""
+def test_who_may_not_read_the_settings_finds_the_daemon_by_its_public_file(runtime: Runtime) -> None:
+    """An operator of the installed service."""
     runtime.place(ACTIVE).unlink()
     assert local_hold.held_here(ENDPOINT, None) == []
-    runtime.write_json(name, {"rig": "paper_rig", "listen": ENDPOINT})
+    runtime.write_json(PUBLIC, {"rig": "paper_rig", "listen": ENDPOINT})
     (found,) = local_hold.held_here(ENDPOINT, None)
     assert found.place.directory == runtime.directory
 
@@ -75,31 +72,6 @@ def loop(runtime: Runtime, answer: HoldAnswer | None) -> Iterator[list[Hold]]:
         over.set()
         thread.join()
         sockets.close()
-
-
-@contextlib.contextmanager
-def former_service(runtime: Runtime) -> Iterator[list[str]]:
-    """The hold service of the version before, word by word: a packet of JSON in, a packet of JSON out."""
-    asked = list[str]()
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    listener.bind(str(runtime.directory / "hold.sock"))
-    listener.listen(32)
-
-    def serve() -> None:
-        with contextlib.suppress(OSError):
-            connection, _ = listener.accept()
-            with connection:
-                asked.append(msgspec.json.decode(connection.recv(1024))["operator"])
-                text = "HOLD: stroke held at 52.30 mm, tension 300.0 N"
-                answer = {"accepted": True, "verb": "hold", "mode": "HOLD", "text": text, "via": "local socket"}
-                connection.send(msgspec.json.encode(answer))
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    yield asked
-    listener.shutdown(socket.SHUT_RDWR)
-    listener.close()
-    thread.join()
 
 
 def test_the_answer_is_the_gateways(runtime: Runtime) -> None:
@@ -135,16 +107,15 @@ def test_a_loop_that_does_not_answer_is_no_other_ways_matter(runtime: Runtime) -
 
 
 @pytest.mark.usefixtures("runtime")
-def test_without_a_socket_the_loop_does_not_answer() -> None:
-    assert silent()
-
-
-def test_a_daemon_of_the_version_before_is_held_by_its_hold_service(runtime: Runtime) -> None:
-    with former_service(runtime) as asked:
-        answer = local_hold.hold(ENDPOINT, None, "kim", patience_s())
-    assert asked == [KIM]
+def test_a_daemon_of_another_version_is_one_line_that_names_the_other_ways() -> None:
+    """It has no socket that this version gives HOLD to."""
+    answer = local_hold.hold(ENDPOINT, None, "kim", 0.2)
     assert answer is not None
-    assert (answer["accepted"], answer["mode"], answer["via"]) == (True, "HOLD", "local socket")
+    assert (answer["accepted"], answer["reason"]) == (False, "no_answer")
+    assert answer["text"] == (
+        "HOLD: the loop of paper_rig has no socket for HOLD: it is about to start, or of another version, whose page "
+        "or own rigctl gives it HOLD; the emergency stop needs no program"
+    )
 
 
 @pytest.mark.parametrize(

@@ -289,7 +289,6 @@ def test_in_a_checkouts_folder_every_user_gives_hold() -> None:
     found = Runtime.of("paper_rig", base)
     found.directory.mkdir(mode=0o700)  # left by a daemon of the version before
     found.claim()
-    (found.directory / "hold.sock").touch()  # of the version before that
     rig = Ticks(found)
     try:
         assert found.directory.stat().st_mode & 0o777 == 0o711

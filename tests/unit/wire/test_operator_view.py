@@ -225,14 +225,6 @@ def test_the_drive_is_shown_with_the_state_that_it_reports(power: str, name: str
     assert state_words.drive_with_state(silent) == "not known"
 
 
-@pytest.mark.parametrize(("by", "shown"), [("BRAKE", "off"), ("CLOSING", "not off"), ("TAKING", "not off")])
-def test_a_drive_on_its_way_is_not_called_off(by: str, shown: str) -> None:
-    """In SWITCHED ON or QUICK STOP ACTIVE the motor may carry the load, for good if the drive stays there."""
-    found = state(Mode.DISARMED, held_by=by)
-    assert state_words.drive(found) == shown
-    assert view(found).does.startswith(f"the drive is {shown}; ")
-
-
 def test_every_step_is_a_command_of_the_loop_or_hands_at_a_place() -> None:
     """So that a step can be taken by whoever gets the values alone, as `hil.ways_out` does."""
     shown = list(catalogue())
