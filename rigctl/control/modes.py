@@ -182,7 +182,7 @@ class Setting(IntEnum):
     ZERO = 128
     SCALE = 129
     OVERDUE = 130
-    HOST_CHECKS = 134  # sent before every ARM; 131 to 133 are free
+    HOST_CHECKS = 134  # sent before every ARM; 131 to 133 had other meanings
     LAW_GAINS = 135
     MARGINS = 140  # the loop's sensitivity peak as measured while COMPENSATING
     CREEP = 144

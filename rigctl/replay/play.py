@@ -29,9 +29,8 @@ from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.memory_folder import memory_folder
-from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
-from rigctl.recorder.recording import Recording
+from rigctl.recorder.recording import SLOTS, Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
 
 
@@ -83,7 +82,7 @@ def spans(recording: Recording) -> list[ProcessSpan]:
         ReplayError: there is none, or the inputs at the start of one are missing.
     """
     records = recording.records
-    if records.dtype != RECORD.dtype:
+    if any(getattr(recording, name).dtype != slot.dtype for name, slot in SLOTS.items()):
         other = made_by(recording) or f"it was made by another build of {__version__}, which replays it"
         raise ReplayError(f"its records are not those of this version's loop: {other}")
     starts = np.flatnonzero(records["tick"] - records["skipped"] == 1).tolist()
@@ -104,6 +103,7 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
     active = _document(recording, ACTIVE, first_ns)
     control = _document(recording, "control.json", first_ns)
     standing = recording.in_force(IN_FORCE, first_ns)
+    other = f"; {named}" if (named := made_by(recording)) else ""
     try:
         settings = RigSettings.model_validate(active.get("settings"))
         gains = msgspec.convert(active.get("design", {}).get("gains"), Gains)
@@ -115,10 +115,9 @@ def _span(recording: Recording, records: Slots) -> ProcessSpan:
         correction = (msgspec.json.decode(standing, type=Standing) if standing else Standing()).correction
     except ValidationError as error:
         first, *_ = Wording(RigSettings, frozenset(), Document({}, {}), pathlib.Path(ACTIVE)).lines(error)
-        other = f"; {other}" if (other := made_by(recording)) else ""
         raise ReplayError(f"the recorded settings are refused by this version: {first}{other}") from None
     except msgspec.MsgspecError as error:
-        raise ReplayError(f"what the loop was started with cannot be read: {error}") from None
+        raise ReplayError(f"what the loop was started with cannot be read: {error}{other}") from None
     whole, cut_short = _without_gap(recording, records)
     supervised = all(bool(stop.get("ok")) for stop in control.get("supervision", []))
     taken = int(started[-1].details.get("a", 0)), int(started[-1].details.get("b", 0))

@@ -51,7 +51,6 @@ def test_a_recording_of_fixed_mappings_and_increments_replays_bit_identical(tmp_
     assert summary.passed and summary.recording is not None
     found = read(*parts_of(summary.recording))
     (span,) = spans(found)
-    assert span.process_data is not None
     assert span.process_data.frames["tension_cell"].mapping == (0x61500108, 0x10010008, 0x91300120)
     assert span.process_data.units.position_mm == pytest.approx(1 / 209_715.2)
     same, difference = first_difference(play(found, span), lambda _done, _doing: None)

@@ -229,28 +229,46 @@ def test_without_a_start_there_is_nothing_to_replay(paper: tuple[Recording, Proc
      ({"versions": {"rigctl": __version__}}, f"made by another build of {__version__}, which replays it")],
     ids=["recording", "dump", "unnamed", "same"],
 )  # fmt: skip
-def test_a_recording_of_a_former_loop_names_the_release_that_replays_it(
+def test_a_recording_of_another_loop_names_the_release_that_replays_it(
     paper: tuple[Recording, ProcessSpan], metadata: dict[str, dict[str, str]], said: str
 ) -> None:
     recording, _ = paper
     assert (recording.release, made_by(recording)) == (__version__, "")
-    fewer = [name for name in recording.records.dtype.names or () if name != "load_at_rest"]
-    former = dataclasses.replace(recording, metadata=metadata, records=recording.records[fewer])
-    with pytest.raises(ReplayError, match="records are not those of this version's loop: it was " + re.escape(said)):
-        spans(former)
+    for ring, field in (("records", "load_at_rest"), ("commands", "creep_held_s"), ("holds", "pid")):
+        slots = getattr(recording, ring)
+        fewer = slots[[name for name in slots.dtype.names if name != field]]
+        other = dataclasses.replace(recording, metadata=metadata, **{ring: fewer})
+        with pytest.raises(ReplayError, match="not those of this version's loop: it was " + re.escape(said)):
+            spans(other)
+
+
+def changed(recording: Recording, name: str, change: Callable[[dict[str, Any]], object]) -> Recording:
+    """The recording of release 0.0.9 with another content of the document ``name``."""
+    found = []
+    for document in recording.generations:
+        if document.name == name:
+            content = msgspec.json.decode(document.data)
+            change(content)
+            document = dataclasses.replace(document, data=msgspec.json.encode(content))  # noqa: PLW2901
+        found.append(document)
+    return dataclasses.replace(recording, generations=found, metadata={"rigctl": {"version": "0.0.9"}})
 
 
 def test_recorded_settings_that_this_version_refuses_are_named(paper: tuple[Recording, ProcessSpan]) -> None:
-    recording, _ = paper
-    found = []
-    for document in recording.generations:
-        if document.name == ACTIVE:
-            active = msgspec.json.decode(document.data)
-            active["settings"]["tension"]["ramp_n_s"] = -1.0
-            document = dataclasses.replace(document, data=msgspec.json.encode(active))  # noqa: PLW2901
-        found.append(document)
-    with pytest.raises(ReplayError, match=r"refused by this version: .*tension\.ramp_n_s: found -1\.0, expected"):
-        spans(dataclasses.replace(recording, generations=found))
+    other = changed(paper[0], ACTIVE, lambda active: active["settings"]["tension"].update(ramp_n_s=-1.0))
+    said = (
+        r"refused by this version: .*tension\.ramp_n_s: found -1\.0, expected .*; it was made by rigctl 0\.0\.9, which"
+    )
+    with pytest.raises(ReplayError, match=said):
+        spans(other)
+
+
+def test_a_recording_without_the_mappings_of_the_devices_names_the_release_that_replays_it(
+    paper: tuple[Recording, ProcessSpan],
+) -> None:
+    other = changed(paper[0], "control.json", lambda control: control.pop("process_data"))
+    with pytest.raises(ReplayError, match=r"cannot be read: .*null.*; it was made by rigctl 0\.0\.9, which replays it"):
+        spans(other)
 
 
 @pytest.mark.study
