@@ -15,6 +15,8 @@ SILENCE_S = 0.03
 """Silence of the cell that leads to FAULT."""
 LOW = 0.3
 """Share of the target that is on the rope before a ramp."""
+CARRY_S = 60.0
+"""For which the motor is commanded to carry."""
 BELOW_N = 25.0
 """Below the target: enough way for the sign checks of the first tensioning."""
 
@@ -68,25 +70,24 @@ COURSES = (
     Course("releasing", 1.4, 5.0, (_ARM, CourseStep(Mode.HOLD, 0.3, Verb.RELEASE))),
     Course("fault", 1.9, 7.0, (_ARM,), silence_s=1.8),
     Course("disarming", 1.4, 5.0, (_ARM, CourseStep(Mode.HOLD, 1.5, Verb.DISARM))),
-    Course("carrying", 4.5, 9.0, (_ARM, CourseStep(Mode.FAULT, 1.5, Verb.CARRY, (60.0,))), silence_s=1.8),
+    Course("carrying", 4.5, 9.0, (_ARM, CourseStep(Mode.FAULT, 1.5, Verb.CARRY, (CARRY_S,))), silence_s=1.8),
     Course("lowering", 4.0, 8.0, (_ARM, CourseStep(Mode.FAULT, 1.5, Verb.LOWER)), silence_s=1.8),
 )
 BY_NAME = {course.name: course for course in COURSES}
 
-_RESET, _AGAIN, _UP = (Verb.RESET, ()), (Verb.ARM, ()), (Verb.TENSION, ())
-_CARRY, _LOWER, _DISARM = (Verb.CARRY, (60.0,)), (Verb.LOWER, ()), (Verb.DISARM, ())
-THEN: dict[str, tuple[tuple[Verb, tuple[float, ...]], ...]] = {
+THEN: dict[str, tuple[Verb, ...]] = {
     "nothing": (),
-    "reset": (_RESET,),
-    "reset, arm": (_RESET, _AGAIN),
-    "reset, arm, tension": (_RESET, _AGAIN, _UP),
-    "reset, arm, disarm": (_RESET, _AGAIN, _DISARM),
-    "carry": (_CARRY,),
-    "carry, lower": (_CARRY, _LOWER),
-    "lower": (_LOWER,),
-    "disarm, reset": (_DISARM, _RESET),
+    "reset": (Verb.RESET,),
+    "reset, arm": (Verb.RESET, Verb.ARM),
+    "reset, arm, tension": (Verb.RESET, Verb.ARM, Verb.TENSION),
+    "reset, arm, disarm": (Verb.RESET, Verb.ARM, Verb.DISARM),
+    "carry": (Verb.CARRY,),
+    "carry, lower": (Verb.CARRY, Verb.LOWER),
+    "lower": (Verb.LOWER,),
+    "disarm, reset": (Verb.DISARM, Verb.RESET),
 }
 """What the operator does after a reaction."""
+_VALUES: dict[Verb, tuple[float, ...]] = {Verb.CARRY: (CARRY_S,)}
 APART_S = 2.5
 """Between two commands after a reaction: an arming takes less."""
 
@@ -99,10 +100,10 @@ class Operator:
     def __init__(self, rig: Lockstep, course: Course) -> None:
         self._rig = rig
         self._steps = list(course.steps)
-        self._then: tuple[tuple[Verb, tuple[float, ...]], ...] = ()
+        self._then: tuple[Verb, ...] = ()
         self._after_s = 0.0
         self._left = 0
-        self._queue: list[tuple[int, Verb, tuple[float, ...]]] = []
+        self._queue: list[tuple[int, Verb]] = []
         self._mode, self._since_ns = Mode.DISARMED, rig.clock.now()
 
     def afterwards(self, then: str, after_s: float) -> None:
@@ -128,12 +129,10 @@ class Operator:
         if mode is Mode.FAULT and not self._queue and self._left and for_s >= self._after_s:
             self._left -= 1
             self._steps.clear()
-            self._queue = [
-                (now_ns + round(i * APART_S * 1e9), verb, values) for i, (verb, values) in enumerate(self._then)
-            ]
+            self._queue = [(now_ns + round(i * APART_S * 1e9), verb) for i, verb in enumerate(self._then)]
         if self._queue and now_ns >= self._queue[0][0]:
-            _, verb, values = self._queue.pop(0)
-            self._rig.give(verb, *values)
+            _, verb = self._queue.pop(0)
+            self._rig.give(verb, *_VALUES.get(verb, ()))
 
 
 def silenced(rig: Lockstep, course: Course, t_s: float) -> None:
