@@ -15,7 +15,7 @@ from rigctl.wire.user_name import user_name, with_user
 ANSWER_S = 1.0  # sending included; the loop answers in the tick that takes it, so longer is for a busy computer
 VIA = "local socket"
 _NO_SOCKET = (
-    "has no socket for HOLD: it is about to start, or of another version, whose page or own rigctl gives it HOLD"
+    "has no socket for HOLD: it is about to start, or of another version; that version's page and rigctl give it HOLD"
 )
 
 

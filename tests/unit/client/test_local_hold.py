@@ -113,8 +113,8 @@ def test_a_daemon_of_another_version_is_one_line_that_names_the_other_ways() -> 
     assert answer is not None
     assert (answer["accepted"], answer["reason"]) == (False, "no_answer")
     assert answer["text"] == (
-        "HOLD: the loop of paper_rig has no socket for HOLD: it is about to start, or of another version, whose page "
-        "or own rigctl gives it HOLD; the emergency stop needs no program"
+        "HOLD: the loop of paper_rig has no socket for HOLD: it is about to start, or of another version; that "
+        "version's page and rigctl give it HOLD; the emergency stop needs no program"
     )
 
 
