@@ -48,12 +48,11 @@ def _refusals() -> Named:
             several = _refused(refusal, checks=Check.CELL_STALE | Check.DRIVE_FAULT, known=details)
             yield "refusal PREFLIGHT with details", several
         elif refusal is Refusal.CAUSE_PRESENT:
-            for fault in Fault:
-                yield f"refusal CAUSE_PRESENT {fault.name}", _refused(refusal, checks=1 << fault)
+            for fault in filter(None, Fault):
+                yield f"refusal CAUSE_PRESENT {fault.name}", _refused(refusal, checks=fault.bit)
             yield "refusal CAUSE_PRESENT of the fault", _refused(refusal)
-            several = _refused(
-                refusal, checks=1 << Fault.E_STOP | 1 << Fault.LIMIT, standing={Fault.LIMIT: "its words"}
-            )
+            both = Fault.E_STOP.bit | Fault.LIMIT.bit
+            several = _refused(refusal, checks=both, standing={Fault.LIMIT: "its words"})
             yield "refusal CAUSE_PRESENT of several", several
         else:
             for value in (12.345, -0.001):

@@ -18,7 +18,7 @@ from rigctl.client.shapes import Line, MessageRefusedError, document
 from rigctl.config.built_type import built
 from rigctl.wire.block import Block
 
-KNOWN_VERSIONS = (1,)
+KNOWN_VERSIONS = (2,)
 RECORD_BYTES = 16_384
 _FIELDS = 1024
 _KNOWN_TYPE = re.compile(r"[<>|=]?([?]|[iu][1248]|f[248]|c8|c16|[bB]|[SV][0-9]{1,4})")

@@ -184,7 +184,7 @@ SIGNALS: tuple[Signal, ...] = (
                        factor=1e-9)),
     Signal("hold_seq", "Q", "", "sequence number of the last slot the loop has taken from the ring of holds"),
     Signal("cause_bits", "Q", "",
-           "causes of a fault that stand now, bits 1 << number, see faults; the state words them"),
+           "causes of a fault that stand now, bits, see cause_bits; the state words them"),
 )
 # fmt: on
 """In the order of the record."""

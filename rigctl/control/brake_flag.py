@@ -24,8 +24,8 @@ FALLS, FALLS_NS = 2.0, 5_000_000_000
 """Limits of LOAD_SINKS that the tension has to have lost, and for how long, while the encoder is in doubt."""
 TESTED_SHARE = 0.8
 """Of the load at which the brake slipped: a test with less shows nothing."""
-_SLIP_BITS = 1 << Fault.STROKE_MOVES | 1 << Fault.BRAKE_SLIPS
-_SINK_BIT = 1 << Fault.LOAD_SINKS
+_SLIP_BITS = Fault.STROKE_MOVES.bit | Fault.BRAKE_SLIPS.bit
+_SINK_BIT = Fault.LOAD_SINKS.bit
 _KNOWN_BEFORE = "known before this start"
 
 
@@ -72,7 +72,7 @@ class BrakeFlag:
         """One tick in which the motor has no power, or a cause is active.
 
         Args:
-            standing: causes that are active, bits 1 << fault.
+            standing: causes that are active, see `Fault.bit`.
             snapshot: of this tick.
             braked: the drive is off and its brake closed.
         """

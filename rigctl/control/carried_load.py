@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import CONTRADICTED_BIT, RopeMemory
 from rigctl.control.situation import Witness
@@ -26,9 +26,9 @@ ENDS = frozenset(
      Fault.STROKE_END, Fault.DRIVE_NOT_FOLLOWING, Fault.DRIVE_UNASKED}
 )  # fmt: skip
 """What stops a motor that carries for a brake that does not hold; all else is reported, and it goes on."""
-_ENDS_BITS = sum(1 << fault for fault in ENDS)
-_BY_CELL = 1 << Fault.TENSION_HIGH
-_BY_ENCODER = 1 << Fault.DRIVE_NOT_FOLLOWING
+_ENDS_BITS = bits_of(ENDS)
+_BY_CELL = Fault.TENSION_HIGH.bit
+_BY_ENCODER = Fault.DRIVE_NOT_FOLLOWING.bit
 WITNESS_TEXT = "the tension does not follow the commanded stroke"
 
 

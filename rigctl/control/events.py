@@ -13,7 +13,7 @@ from rigctl.config.signals import WATCHED
 from rigctl.control.checks import Check
 from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
-from rigctl.control.faults import Fault, Trait
+from rigctl.control.faults import Fault, Trait, faults_of
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
@@ -252,7 +252,7 @@ def refusal_text(
                 "measured: measure it again, or home the drive with its own tool"
             )
         case Refusal.CAUSE_PRESENT:
-            there = [cause for cause in Fault if checks >> cause & 1] or [fault]
+            there = faults_of(checks) or [fault]
             there.sort(key=lambda cause: list(standing).index(cause) if cause in standing else len(standing))
             words = [f"{cause.name} ({standing[cause]})" if cause in standing else cause.name for cause in there]
             return f"cause still present: {', '.join(words)}" + (

@@ -6,6 +6,7 @@ The rows of `rigctl.control.safety.table` give the value watched for each, with 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from enum import IntEnum, IntFlag
 
 
@@ -28,8 +29,12 @@ class Fault(IntEnum):
 
     ``words``: the cause in one line, a template of ``value``, ``limit`` and the names that
     `rigctl.control.events.fault_text` fills in. ``remedy``: what the operator does about it.
+
+    A new fault is the last row: ``bit`` goes by the place of its row, and recordings, rings and subscribers hold it.
     """
 
+    bit: int
+    """The bit of its cause in sets of causes, such as ``cause_bits`` of the record; NONE has no bit, 0."""
     words: str
     remedy: str
     traits: Trait
@@ -38,6 +43,7 @@ class Fault(IntEnum):
         """A member with its words."""
         member = int.__new__(cls, number)
         member._value_ = number
+        member.bit = 1 << len(cls.__members__) >> 1
         member.words, member.remedy, member.traits = words, remedy, traits
         return member
 
@@ -379,6 +385,16 @@ class Fault(IntEnum):
     def blocks_reset(self) -> bool:
         """A reset is refused while the cause is present."""
         return Trait.BLOCKS_RESET in self.traits
+
+
+def bits_of(faults: Iterable[Fault]) -> int:
+    """The set of causes of these faults."""
+    return sum(fault.bit for fault in set(faults))
+
+
+def faults_of(bits: int) -> list[Fault]:
+    """The faults whose causes are in a set, in the order of the catalogue; a bit of no fault is left out."""
+    return [fault for fault in Fault if bits & fault.bit]
 
 
 _AT_ITS_TIME = re.compile(r", the rope is slack in about \d+ s")

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.modes import REST_S, LoadAtRest
 from rigctl.control.snapshot import Snapshot
 
@@ -24,9 +24,9 @@ _CELL_DOUBTED = frozenset(
 _STROKE_DOUBTED = frozenset(
     {Fault.ENCODER_STUCK, Fault.DRIVE_CONTRADICTS, Fault.POSITION_DRIFTS, Fault.STROKE_JUMPED, Fault.DRIVE_MOTIONLESS}
 )
-CELL_BITS = sum(1 << fault for fault in _CELL_DOUBTED)
-STROKE_BITS = sum(1 << fault for fault in _STROKE_DOUBTED)
-"""Causes, bits 1 << fault, while which a tension or a stroke at rest shows nothing.
+CELL_BITS = bits_of(_CELL_DOUBTED)
+STROKE_BITS = bits_of(_STROKE_DOUBTED)
+"""Causes, see `Fault.bit`, while which a tension or a stroke at rest shows nothing.
 
 A cell that was silent or invalid and is not any more shows the tension again.
 """
@@ -52,7 +52,7 @@ class LoadRest:
         self.shown = LoadAtRest.UNKNOWN
 
     def look(self, causes: int, snapshot: Snapshot) -> LoadAtRest:
-        """One tick; ``causes``: the fault that is latched and the causes that are active, bits 1 << fault."""
+        """One tick; ``causes``: the fault that is latched and the causes that are active, see `Fault.bit`."""
         self.tension_seen = (
             not causes & CELL_BITS and not snapshot.cell_frozen
             and snapshot.cell_quality == 0 and snapshot.cell_age_ns <= self._stale_ns

@@ -17,7 +17,7 @@ from rigctl.control.clock import Clock
 from rigctl.control.ending import Ending
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.gain_table import GainTable
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.hold_sockets import GivenHolds, HoldSource
@@ -61,8 +61,8 @@ SILENT_TICKS = 1000  # and after which it is left to its own supervision, whethe
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 """Modes in which the law holds the tension."""
-SLIP_BITS = sum(1 << fault for fault in SLIPS)
-_MOVES_BIT = 1 << Fault.STROKE_MOVES
+SLIP_BITS = bits_of(SLIPS)
+_MOVES_BIT = Fault.STROKE_MOVES.bit
 _KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
 """Modes that keep the stroke."""
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})

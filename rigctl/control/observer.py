@@ -265,10 +265,10 @@ class Observer:
     def look_at_load(self, standing: int) -> None:
         """What carries the load, whether it rests and a power off is confirmed, after this tick's decision.
 
-        ``standing``: the causes that are active, bits 1 << fault.
+        ``standing``: the causes that are active, see `Fault.bit`.
         """
         snapshot, machine, rest = self.snapshot, self._machine, self._load_rest
-        snapshot.load_at_rest = rest.look(standing | 1 << machine.fault, snapshot)
+        snapshot.load_at_rest = rest.look(standing | machine.fault.bit, snapshot)
         snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=self.braked)
         braked, rests = self.braked, snapshot.load_at_rest.rests
         self._rested &= braked

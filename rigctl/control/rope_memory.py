@@ -9,7 +9,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import CELL_BITS
 from rigctl.control.snapshot import Snapshot
 
-CONTRADICTED_BIT = 1 << Fault.STRETCH_UNEXPLAINED
+CONTRADICTED_BIT = Fault.STRETCH_UNEXPLAINED.bit
 """Encoder and tension contradict each other, so either may be wrong."""
 LEFT_SHARE, LEFT_SLACKS = 0.5, 3.0
 """Of the tension, and of that of a slack rope: what the stroke has to show on a rope that is slack by the cell."""
@@ -24,7 +24,7 @@ class RopeMemory:
         self.tension_n = self._at_mm = math.nan
 
     def look(self, standing: int, snapshot: Snapshot) -> None:
-        """One tick; ``standing``: causes that are active, bits 1 << fault."""
+        """One tick; ``standing``: causes that are active, see `Fault.bit`."""
         if (
             snapshot.tension_n >= self._slack_n
             and not (snapshot.cell_quality or standing & CELL_BITS)

@@ -496,7 +496,7 @@ class Watch:
         self._limits: list[tuple[Trip, bool]] = []  # not reported yet, as are the causes
         self._causes: list[tuple[Trip, bool]] = []
         self._stands = [False] * len(self._rows)
-        self.standing = 0  # bits 1 << fault of the rows that have been bad for their persistence, LOG rows excepted
+        self.standing = 0  # bits of the faults of the rows that have been bad for their persistence, LOG rows excepted
 
     def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
         """Trip of the strongest row that has been bad for its persistence, the first among equals; None if none has."""
@@ -530,7 +530,7 @@ class Watch:
                 continue
             if not self._stands[i]:
                 self._stands[i] = True
-                self.standing |= 1 << row.fault
+                self.standing |= row.fault.bit
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
         self._look_again = not self._left.isdisjoint(watched.rows)
@@ -538,7 +538,7 @@ class Watch:
 
     def strongest(self, snapshot: Snapshot, bits: int) -> Trip | None:
         """Trip of the strongest row of these faults that has been bad for its persistence; None if none has."""
-        found = [row for row, stands in zip(self._rows, self._stands, strict=True) if stands and bits >> row.fault & 1]
+        found = [row for row, stands in zip(self._rows, self._stands, strict=True) if stands and bits & row.fault.bit]
         if not found:
             return None
         row = max(found, key=lambda one: one.action)
@@ -569,10 +569,10 @@ class Watch:
         return next(self._blocking(snapshot), Fault.NONE)
 
     def blocking(self, snapshot: Snapshot) -> int:
-        """All causes present now that keep a fault from being reset, bits 1 << fault."""
+        """All causes present now that keep a fault from being reset, see `Fault.bit`."""
         found = 0
         for fault in self._blocking(snapshot):
-            found |= 1 << fault
+            found |= fault.bit
         return found
 
     def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
@@ -587,7 +587,8 @@ class Watch:
             self._stands[i] = False
             self.standing = 0
             for row, stands in zip(self._rows, self._stands, strict=True):
-                self.standing |= stands << row.fault
+                if stands:
+                    self.standing |= row.fault.bit
         row, logs = self._rows[i], self._rows[i].action is Action.LOG
         if self._logged[i] and not seen and logs:
             self._log(i, row.trip(math.nan), begins=False)

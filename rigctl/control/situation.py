@@ -24,7 +24,7 @@ class Situation:
     """Values that the answer to a command depends on, beside the mode."""
 
     failed_checks: int = 0  # preflight, bits of checks.Check; those that are only waited for are left out
-    causes: int = 0  # of a fault that keep it from being reset, bits 1 << fault
+    causes: int = 0  # of a fault that keep it from being reset, bits, see `Fault.bit`
     stop_running: bool = False  # the drive is still stopping, or its brake is closing
     fault: int = 0  # that is latched
     armed: bool = False  # by ARM, and neither disarmed nor taken off power since

@@ -29,7 +29,7 @@ WORDS_BYTES = 27
 """The longest name of what a start waits for."""
 _FORM = struct.Struct(f"<qqfQBBBBB{WORDS_BYTES}s")
 _CRC = struct.Struct("<I")
-_VERSION = 1  # begins the checksum, so that a slot of another form is refused
+_VERSION = 2  # begins the checksum, so that a slot of another form is refused
 _TRIES = 5
 _DRIVE_SHIFT = 4  # of the drive's quality beside the cell's, four bits each
 

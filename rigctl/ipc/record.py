@@ -173,7 +173,7 @@ REPLY = Slot(
             "Q",
             "",
             "preflight checks that failed, bits, see rigctl.control.checks.Check; CAUSE_PRESENT: "
-            "the faults whose causes are there, bits 1 << number",
+            "the faults whose causes are there, bits, see rigctl.control.faults.Fault.bit",
         ),
         Field("mode", "B", "", "mode after the command"),
         Field("tension_n", "d", "N", "tension now; of this and the fields below a reply has the one it is about"),

@@ -22,7 +22,7 @@ _HEADER = struct.Struct("<8sIIQ")  # magic, slot size, capacity, head (sequence 
 _HEAD = struct.Struct("<Q")
 _HEAD_OFFSET = 16
 _DATA_OFFSET = 64
-_MAGIC = b"rigring1"
+_MAGIC = b"rigring2"
 _FLAGS = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 

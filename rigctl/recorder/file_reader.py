@@ -18,9 +18,10 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Message, Metadata, Schema
 
 from rigctl.config.built_type import built
+from rigctl.config.one_line import printable
 from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD, Slot
 from rigctl.recorder import frame_block
-from rigctl.recorder.mcap_file import SEAL
+from rigctl.recorder.mcap_file import FORMAT, SEAL
 from rigctl.recorder.mcap_scan import READ, DamageError, Piece, Scan, ScanError
 from rigctl.recorder.protobuf import Decoding, LayoutError, numbers_of
 
@@ -86,7 +87,7 @@ class FileReader:
         """Read it; ``frames``: with its CAN frames.
 
         Raises:
-            RecordingError: it is not a file of a recording.
+            RecordingError: it is not a file of a recording, or one of another format.
         """
         self.path = path
         self._topics = tuple(topic for topic in SLOTS if frames or topic != "frames")
@@ -115,8 +116,21 @@ class FileReader:
                 except ValueError as error:
                     why = str(error) if isinstance(error, DamageError) else "a record is damaged"
                     damage = damage or f"at byte {piece.offset}: {why}"
+                if piece.opcode == Opcode.METADATA:
+                    self._refuse_other_format()
         note = "; ".join(filter(None, (damage, scan.note)))
         return ReadFile(self.path, len(data), hashlib.sha256(data).hexdigest(), not note, note, seal)
+
+    def _refuse_other_format(self) -> None:
+        """Refuse a file whose numbers have another meaning, as its head says it, before the rest is read."""
+        own = self.metadata.get("rigctl", {})
+        if "rig" in own and (found := own.get("format")) != FORMAT:
+            by = f"rigctl {own['version']}" if "version" in own else "a rigctl that it does not name"
+            why = (
+                f"found {f'format {found}' if found else 'no format'}, expected format {FORMAT}: it was made by {by} "
+                "with other bits for the causes; read it with the build that made it"
+            )
+            raise RecordingError(f"{self.path}: {printable(why)}")
 
     def _take(self, records: list[Any]) -> None:
         messages: dict[int, list[bytes]] = {}
@@ -143,9 +157,9 @@ class FileReader:
         if channel.message_encoding == "protobuf":
             if schema is None or topic not in SLOTS:
                 return
-            blocks = schema.name == frame_block.NAME
-            decoding = None if blocks else Decoding(schema.data, schema.name, SLOTS[topic])
-            self._decoders[channel.id] = frame_block.decode if decoding is None else decoding.decode
+            blocks = topic == "frames"
+            decode = frame_block.decode if blocks else Decoding(schema.data, schema.name, SLOTS[topic]).decode
+            self._decoders[channel.id] = decode
         self._channels[channel.id] = channel
 
     def _decode(self, channel: Channel, messages: list[bytes]) -> None:

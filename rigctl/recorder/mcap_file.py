@@ -23,6 +23,8 @@ from rigctl.recorder import frame_block
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.protobuf import Encoding, numbers_of
 
+FORMAT = "2"
+"""Of recordings and trip dumps; another one where a number in them has another meaning, such as a bit of a cause."""
 CHUNK_BYTES = 1 << 18
 ATTACHED = (ACTIVE, "control.json", "calibration.json")
 """Documents of the runtime folder that go into every file; not lease.json, which has the id."""

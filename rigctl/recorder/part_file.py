@@ -15,9 +15,8 @@ from rigctl import __version__
 from rigctl.config.signals import RECORDED
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
-from rigctl.recorder.mcap_file import McapFile, Message
+from rigctl.recorder.mcap_file import FORMAT, McapFile, Message
 
-FORMAT = "1"
 AUDIT_SCHEMA = {"title": "rigctl.AuditEntry", "type": "object", "description": "a line of the audit log, see its chain"}
 _LIBRARIES = (
     "numpy", "python-can", "canopen", "cantools", "control", "scipy", "eclipse-zenoh", "msgspec",

@@ -42,8 +42,7 @@ class Recording:
 
     ``records``: ``RECORD`` slots; signals have the precision of the file's floats (32 bits; trip dumps: 64), all else
     is exact. ``frames``: ``FRAME`` slots, ``commands``: ``COMMAND`` slots, ``holds``: ``HOLD`` slots without the
-    operator (empty in recordings older than this ring); all exact. ``said``: by topic. ``sha256``: of the file; of
-    several the hash of their hashes, one a line.
+    operator; all exact. ``said``: by topic. ``sha256``: of the file; of several the hash of their hashes, one a line.
     """
 
     files: tuple[ReadFile, ...]

@@ -29,7 +29,7 @@ from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.recorder import part_seal, parts
-from rigctl.recorder.mcap_file import ATTACHED, McapFile, slot_readers
+from rigctl.recorder.mcap_file import ATTACHED, FORMAT, McapFile, slot_readers
 from rigctl.recorder.sources import AuditedRings
 from rigctl.wire.schema import schema
 
@@ -169,6 +169,7 @@ class Trips:
             {
                 "rig": self._settings.rig,
                 "version": __version__,
+                "format": FORMAT,
                 "fault": group.fault,
                 "t_ns": group.triggers[0].t_ns,
                 "trips": " ".join(trigger.fault for trigger in group.triggers if trigger.fault),

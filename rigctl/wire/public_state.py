@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, faults_of
 from rigctl.control.modes import HeldBy, Mode
 from rigctl.ipc.progress import REPORTED_S
 from rigctl.ipc.public_slot import PublicSlot
@@ -30,7 +30,7 @@ def public_state(slot: PublicSlot, now_ns: int) -> dict[str, Any]:
         "mode": named(Mode, slot.mode),
         "held_by": named(HeldBy, slot.held_by),
         "fault": named(Fault, slot.fault) if slot.fault else None,
-        "causes": [{"fault": fault.name} for fault in Fault if slot.cause_bits >> fault & 1],
+        "causes": [{"fault": fault.name} for fault in faults_of(slot.cause_bits)],
         "tension_n": None if math.isnan(slot.tension_n) else slot.tension_n,
         "quality": {"tension": quality_words(slot.tension_quality), "drive": quality_words(slot.drive_quality)},
         "flag_names": [BRAKE_FAILS] if slot.brake_fails else [],

@@ -33,7 +33,7 @@ from rigctl.wire.meanings import (
 )
 from rigctl.wire.state_message import DERIVED
 
-VERSION = 1  # changes only when a subscriber of this version would misread the data; added fields do not change it
+VERSION = 2  # changes only when a subscriber of this version would misread the data; added fields do not change it
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
     "modes": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest,
@@ -138,6 +138,9 @@ def schema(rig: str, person: str = "") -> dict[str, Any]:
             "rule": "every operator may; the decision is a note of the gateway, and displays fold the alarms from "
             "events and notes",
         },
-        "enums": {name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
+        "enums": {
+            **{name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},
+            "cause_bits": {fault.name: fault.bit for fault in Fault if fault},
+        },
         "fault_texts": {fault.name: fault.words for fault in Fault},
     }

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from rigctl.control.checks import Check
 from rigctl.control.drive_power import drive_shown
 from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
-from rigctl.control.faults import Fault, lasting
+from rigctl.control.faults import Fault, faults_of, lasting
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import Action, Row
 from rigctl.diagnosis.diagnose import Culprit
@@ -128,11 +128,11 @@ class Causes:
 
         ``wall_ns``: wall clock less CLOCK_MONOTONIC. A cause whose event was missed appears without figures.
         """
-        bits, mode, t_ns = int(record["cause_bits"]), int(record["mode"]), int(record["t_ns"])
-        known = {key: cause for key, cause in self._since.items() if bits >> key[0] & 1 or cause.t_ns > t_ns}
+        standing, mode, t_ns = faults_of(int(record["cause_bits"])), int(record["mode"]), int(record["t_ns"])
+        known = {key: cause for key, cause in self._since.items() if key[0] in standing or cause.t_ns > t_ns}
         self._since = known
         found: list[tuple[Row, Cause | None]] = []
-        for fault in (fault for fault in Fault if bits >> fault & 1):
+        for fault in standing:
             rows = [row for row in self._rows if row.fault is fault]
             timed = [(row, cause) for row in rows if (cause := known.get(_key(row))) and mode in row.modes]
             found += timed or [(row, None) for row in rows[:1]]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.diagnosis.part import FROM_BUS, Part
 
 DEVICES = ("tension", "drive", "inclination")
@@ -34,7 +34,7 @@ DEVICE_OF = {
 
 def doubted_bits(device: str) -> int:
     """The bits of ``cause_bits`` in a record that put a device's value in doubt."""
-    return sum(1 << fault for fault in DOUBTED_BY[device])
+    return bits_of(DOUBTED_BY[device])
 
 
 def doubts(state: dict[str, Any]) -> dict[str, str]:

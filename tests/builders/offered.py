@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rigctl.control.checks import Check
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.modes import Mode
 from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.record import SITUATION
@@ -23,7 +23,7 @@ def offered(state: dict[str, Any], **more: Any) -> dict[str, Any] | None:
     checks, on = int(state.get("checks") or 0), "drive_enabled" in flags
     situation = Situation(**{
         "failed_checks": checks, "fault": int(state.get("fault_code") or Fault[state.get("fault") or "NONE"]),
-        "causes": sum(1 << Fault[cause["fault"]] for cause in causes if cause.get("blocks_reset")),
+        "causes": bits_of(Fault[cause["fault"]] for cause in causes if cause.get("blocks_reset")),
         "stop_running": "stopping" in flags, "armed": on, "powered": on, "brake_fails": "brake_fails" in flags,
         "e_stop": any(cause["fault"] == Fault.E_STOP.name for cause in causes), "at_rest": True, "unloaded": True,
         "drive_faulted": bool(checks & Check.DRIVE_FAULT), "target_min_n": 50.0, "target_max_n": 350.0,

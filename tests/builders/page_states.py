@@ -18,7 +18,7 @@ import uvicorn
 from rigctl.config.address import Address
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, fault_text, worded
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.modes import HeldBy, Mode, PowerOff
 from rigctl.control.safety import Action
 from rigctl.ipc.record import RECORD
@@ -244,7 +244,7 @@ def charted(picture: Picture) -> None:
     if now["mode"] == "FAULT":
         before = slice(None, -700)
         records["mode"][before] = int(Mode.COMPENSATING)
-        records["cause_bits"][-700:] = sum(1 << Fault[cause["fault"]] for cause in now["causes"])
+        records["cause_bits"][-700:] = bits_of(Fault[cause["fault"]] for cause in now["causes"])
         for name in ("vertical_n", "tension_n", "stroke_mm", "speed_mm_s"):
             records[name][-700:] = now[name] if name != "speed_mm_s" else 0.0
     records["lateness_ns"] = 1000 + 50_000 * (np.arange(count) % 7)

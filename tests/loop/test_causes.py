@@ -100,7 +100,7 @@ def test_a_reset_is_refused_with_everything_that_blocks_it(rig: Lockstep, shown:
     rig.run(0.2)
     shown.state()
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
-    assert int(rig.reply["checks"]) == 1 << Fault.CELL_STALE | 1 << Fault.E_STOP
+    assert int(rig.reply["checks"]) == Fault.CELL_STALE.bit | Fault.E_STOP.bit
     snapshot = NewestRecord(Fault.CELL_STALE, standing=shown.view.standing)
     text = answer(Request(Verb.RESET, "kim"), rig.reply, snapshot, (0.0, 1.0))["text"]
     assert text.startswith(

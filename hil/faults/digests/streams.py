@@ -169,20 +169,20 @@ def _namer(kind: type[IntEnum | IntFlag]) -> Callable[[float], str]:
 
     def name_of(value: float) -> str:
         if issubclass(kind, IntFlag):
-            return _bits(int(value), ((bit, known.get(1 << bit)) for bit in range(int(value).bit_length())), kind)
+            return _bits(int(value), known, kind)
         return "nan" if math.isnan(value) else known.get(int(value), f"{value:g}")
 
     return name_of
 
 
-def _bits(value: int, bits: Iterator[tuple[int, str | None]], kind: type[IntEnum | IntFlag]) -> str:
-    found = [name or str(1 << bit) for bit, name in bits if value >> bit & 1]
+def _bits(value: int, known: Mapping[int, str], kind: type[IntEnum | IntFlag]) -> str:
+    bits = (1 << place for place in range(value.bit_length()))
+    found = [known.get(bit, str(bit)) for bit in bits if value & bit]
     return "|".join(sorted(name for name in found if f"{kind.__name__}.{name}" not in name_map.ADDED))
 
 
 def _fault_bits(value: float) -> str:
-    names = {int(fault): _member(fault) for fault in Fault}
-    return _bits(int(value), ((bit, names.get(bit)) for bit in range(int(value).bit_length())), Fault)
+    return _bits(int(value), {fault.bit: _member(fault) for fault in Fault}, Fault)
 
 
 def _member(member: IntEnum | IntFlag) -> str:

@@ -193,13 +193,13 @@ def test_a_daemon_replaced_by_a_newer_one_is_read_on(own: Daemon) -> None:
 def test_an_unknown_schema_version_is_refused_in_one_line() -> None:
     daemon = Daemon()
     try:
-        daemon.spawn("-m", "tests.builders.another_version", str(daemon.runtime.directory), "2")
+        daemon.spawn("-m", "tests.builders.another_version", str(daemon.runtime.directory), "99")
         daemon.client().close()
         with pytest.raises(rigctl.client.SchemaError) as refused:
             rigctl.client.connect(daemon.endpoint)
     finally:
         daemon.close()
-    assert str(refused.value) == "found schema version 2, this client knows 1: use that daemon's own client"
+    assert str(refused.value) == "found schema version 99, this client knows 2: use that daemon's own client"
 
 
 def test_what_is_no_endpoint_no_rig_or_not_there_is_one_line(shared: Daemon) -> None:

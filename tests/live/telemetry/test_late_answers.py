@@ -116,10 +116,10 @@ def test_prometheus_ends_in_one_line_where_the_next_daemon_is_of_an_unknown_vers
         for process in own.processes:
             process.kill()
             process.wait()
-        own.spawn("-m", "tests.builders.another_version", str(own.runtime.directory), "2")
+        own.spawn("-m", "tests.builders.another_version", str(own.runtime.directory), "99")
         _, said = bridge.communicate(timeout=patience_s() * 2)
     assert bridge.returncode == 1
-    assert said == "rigctl: found schema version 2, this client knows 1: use that daemon's own client\n"
+    assert said == "rigctl: found schema version 99, this client knows 2: use that daemon's own client\n"
 
 
 def test_watch_prints_states(own: Daemon, late: LateLink) -> None:

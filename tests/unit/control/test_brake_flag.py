@@ -18,7 +18,7 @@ from tests.builders.paths import ROOT
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MOST_N = SETTINGS.tension.target_max_n
 DAMAGED = KeptBrake(fails=True, why="paper_rig.stroke.json is damaged")
-SLIPS = 1 << Fault.STROKE_MOVES
+SLIPS = Fault.STROKE_MOVES.bit
 
 
 def taken_over(kept: KeptBrake, tension_n: float, standing: int = 0) -> BrakeFlag:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of
 from rigctl.control.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
 from rigctl.control.modes import LoadAtRest
 from rigctl.control.snapshot import Snapshot
@@ -50,12 +50,12 @@ def test_a_fall_that_ends_as_that_of_a_bounce_is_no_motion() -> None:
      ((Fault.CELL_STALE, Fault.CELL_INVALID), LoadAtRest.BOTH)],  # of a cell that is well again
 )  # fmt: skip
 def test_a_cause_that_doubts_a_witness_leaves_the_other(causes: tuple[Fault, ...], shown: LoadAtRest) -> None:
-    assert Load().look(STEP_NS, causes=sum(1 << fault for fault in causes)) is shown
+    assert Load().look(STEP_NS, causes=bits_of(causes)) is shown
 
 
 def test_a_tension_that_moved_shows_no_rest_once_it_is_in_doubt_or_slack() -> None:
     """It moved until now, and the stroke alone, at rest all along, would show a load at rest at once."""
-    for then_n, causes in ((300.0, 1 << Fault.STRETCH_UNEXPLAINED), (0.0, 0)):
+    for then_n, causes in ((300.0, Fault.STRETCH_UNEXPLAINED.bit), (0.0, 0)):
         load = Load()
         for step in range(100):
             assert load.look(STEP_NS, tension_n=310.0 + step) is not LoadAtRest.STROKE

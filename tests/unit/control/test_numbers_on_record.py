@@ -9,7 +9,7 @@ import pytest
 from rigctl.control.checks import Check
 from rigctl.control.ending import EndStep
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, bits_of, faults_of
 from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
@@ -79,6 +79,17 @@ NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {
     ),
 }
 """A changed number would change the meaning of an old recording; of `Check` it is the bit."""
+CAUSE_BITS = (
+    "TENSION_HIGH=0 TENSION_LOW=1 CELL_STALE=2 CELL_INVALID=3 INCLINATION_STALE=4 INCLINATION_INVALID=5 "
+    "DRIVE_STALE=6 DRIVE_FAULT=7 BUS_SILENT=8 OVERRUN=9 LOOP_EXCEPTION=10 STROKE_END=11 DRIVE_NOT_FOLLOWING=12 "
+    "DEVICE_RESTARTED=13 INNOVATION=14 SIGN_DRIVE=15 SIGN_CELL=16 LIMIT=17 CELL_STUCK=18 DRIVE_CONTRADICTS=19 "
+    "STROKE_MOVES=20 STRETCH_UNEXPLAINED=21 E_STOP=22 CELL_NOISY=23 CELL_NEGATIVE=24 SENSOR_EMERGENCY=25 "
+    "DRIVE_EMERGENCY=26 RIVAL=27 E_STOP_UNSEEN=28 STROKE_NOT_HELD=29 POSITION_DRIFTS=30 STATUS_STALE=31 "
+    "LIMIT_UNSEEN=32 DRIVE_UNASKED=33 DRIVE_REFUSES=34 NODE_NOT_OPERATIONAL=35 SUPERVISION_LOST=36 STROKE_JUMPED=37 "
+    "BRAKE_SLIPS=38 FORCES_DISAGREE=39 LOAD_SINKS=40 SYNC_LOST=41 ENABLE_IGNORED=42 CELL_FROZEN=43 ENCODER_STUCK=44 "
+    "DRIVE_MOTIONLESS=45 LOAD_UNSEEN=46 ROPE_CHANGED=47"
+)
+"""Places of the bits of causes in ``cause_bits``, in the order of the catalogue; a new fault is the last."""
 
 
 @pytest.mark.parametrize("kind", NUMBERS, ids=lambda kind: kind.__name__)
@@ -89,6 +100,19 @@ def test_a_number_in_a_file_keeps_its_meaning(kind: type[IntEnum] | type[IntFlag
 
 
 def test_faults_and_checks_fit_the_64_bits_that_records_and_replies_have_for_them() -> None:
-    """``cause_bits`` and ``checks`` are one bit a member: a fault from 64 on would fail the record of the tick."""
-    assert max(Fault) < 64
-    assert max(Check).bit_length() <= 64
+    """``cause_bits`` and ``checks`` are one bit a member: one too many would fail the record of the tick."""
+    free_causes, free_checks = 64 - max(fault.bit for fault in Fault).bit_length(), 64 - max(Check).bit_length()
+    assert (free_causes, free_checks) == (16, 27)
+
+
+def test_a_cause_keeps_its_bit_and_no_fault_has_none() -> None:
+    places = {name: int(place) for name, place in (word.split("=") for word in CAUSE_BITS.split())}
+    assert {fault.name: fault.bit for fault in Fault} == {"NONE": 0, **{name: 1 << at for name, at in places.items()}}
+
+
+def test_a_set_of_causes_holds_each_once_and_gives_them_in_the_order_of_the_catalogue() -> None:
+    given = [Fault.ROPE_CHANGED, Fault.E_STOP, Fault.NONE, Fault.E_STOP]
+    assert bits_of(given) == Fault.ROPE_CHANGED.bit | Fault.E_STOP.bit
+    assert faults_of(bits_of(given)) == [Fault.E_STOP, Fault.ROPE_CHANGED]
+    assert faults_of(bits_of(Fault)) == list(Fault)[1:]
+    assert faults_of(1 << 63) == []

@@ -25,7 +25,7 @@ class Stop:
 
     def look(self, after_ns: int, *, torque_off: bool = False) -> PowerOff:
         snapshot = Snapshot(t_ns=COMMANDED_NS + after_ns, torque_off=torque_off)
-        self._load.look(1 << Fault.DRIVE_STALE, snapshot)
+        self._load.look(Fault.DRIVE_STALE.bit, snapshot)
         return self.watch.look(Fault.DRIVE_STALE, Action.POWER_OFF, snapshot, self._load, braked=False)
 
 

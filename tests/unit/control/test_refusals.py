@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.control.events import refusal_text
-from rigctl.control.faults import Fault, Trait
+from rigctl.control.faults import Fault, Trait, bits_of
 from rigctl.control.modes import Mode, Refusal, Verb
 
 LIMITS = (50.0, 350.0)
@@ -17,7 +17,7 @@ def said(refusal: Refusal, verb: Verb = Verb.RESET, mode: Mode = Mode.FAULT, che
 
 def test_every_cause_that_stands_is_named_the_strongest_first_with_its_figures_where_known() -> None:
     standing = {Fault.TENSION_HIGH: "401.0 N, limit 400 N", Fault.E_STOP: "the emergency stop is pressed"}
-    bits = 1 << Fault.E_STOP | 1 << Fault.TENSION_HIGH | 1 << Fault.CELL_INVALID
+    bits = bits_of({Fault.E_STOP, Fault.TENSION_HIGH, Fault.CELL_INVALID})
     assert said(Refusal.CAUSE_PRESENT, checks=bits, standing=standing) == (
         "cause still present: TENSION_HIGH (401.0 N, limit 400 N), E_STOP (the emergency stop is pressed), CELL_INVALID"
     )
@@ -40,5 +40,5 @@ def test_a_command_in_the_wrong_mode_is_told_what_comes_first(mode: Mode, verb: 
     "fault", [Fault.BUS_SILENT, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_STALE, Fault.STATUS_STALE]
 )
 def test_a_device_that_says_nothing_may_have_been_switched_off(fault: Fault) -> None:
-    assert said(Refusal.CAUSE_PRESENT, checks=1 << fault).endswith("needs the daemon started anew)")
+    assert said(Refusal.CAUSE_PRESENT, checks=fault.bit).endswith("needs the daemon started anew)")
     assert Trait.AGE in fault.traits  # told in ms

@@ -316,7 +316,7 @@ def test_a_state_without_a_loop_has_no_causes_and_one_with_it_says_since_when(ri
     row = next(row for row in table(rig.settings) if row.action is not Action.LOG and row.words is None)
     began_ns = time.monotonic_ns()
     rig.runtime.events.writer().write(began_ns, Kind.CAUSE, row.fault, row.action, 3.0, row.sign * row.limit, b"")
-    rig.record(mode=next(iter(row.modes)), cause_bits=1 << row.fault)
+    rig.record(mode=next(iter(row.modes)), cause_bits=row.fault.bit)
     before = time.time_ns() - time.monotonic_ns()
     (cause,) = rig.state()["causes"]
     assert (cause["fault"], cause["value"], cause["since_ns"]) == (row.fault.name, 3.0, began_ns)

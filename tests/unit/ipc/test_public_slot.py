@@ -65,6 +65,14 @@ def test_every_torn_content_is_refused() -> None:
         assert PublicSlot.unpacked(before[:at] + bytes([before[at] ^ 1]) + before[at + 1 :]) is None
 
 
+def test_a_slot_with_other_bits_of_causes_is_refused(folder: FolderPlaces, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(public_slot, "_VERSION", 1)
+    former = FULL.packed()
+    monkeypatch.undo()
+    folder.place(PUBLIC_SLOT).write_bytes(former)
+    assert public_slot.read(folder) is None
+
+
 def test_a_reader_beside_the_writer_finds_whole_contents_alone(folder: FolderPlaces) -> None:
     writer, ended = SlotWriter(folder), threading.Event()
     contents = {PublicSlot(at, at, float(at), at, waits_for=f"{at}" * 9) for at in range(1, 10)}

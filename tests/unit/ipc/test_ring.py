@@ -58,7 +58,7 @@ def test_a_new_writer_goes_on_where_the_last_one_stopped(tmp_path: pathlib.Path)
     assert reader.read()["a"].tolist() == [1, 2]
 
 
-@pytest.mark.parametrize("other", ["size", "magic", "short", "cut"])
+@pytest.mark.parametrize("other", ["size", "magic", "former", "short", "cut"])
 def test_another_file_is_refused(tmp_path: pathlib.Path, other: str) -> None:
     path = tmp_path / "r"
     ring(path, 8).close()
@@ -67,6 +67,8 @@ def test_another_file_is_refused(tmp_path: pathlib.Path, other: str) -> None:
             create(path, np.dtype([("seq", "<u8"), ("a", "<u8")]), 8)
         case "magic":
             path.write_bytes(b"x" * path.stat().st_size)
+        case "former":  # its records have other bits for the causes
+            path.write_bytes(b"rigring1" + path.read_bytes()[8:])
         case "short":
             path.write_bytes(b"x" * 10)
         case "cut":

@@ -35,8 +35,8 @@ def test_the_error_is_that_against_the_set_point() -> None:
 ])  # fmt: skip
 def test_a_value_in_doubt_is_no_trace(fault: Fault, gone: str, left: str) -> None:
     """A stuck cell's samples are fresh and valid: its trace was drawn on."""
-    assert np.isnan(drawn(gone, cause_bits=1 << fault))
-    assert np.isfinite(drawn(left, cause_bits=1 << fault))
+    assert np.isnan(drawn(gone, cause_bits=fault.bit))
+    assert np.isfinite(drawn(left, cause_bits=fault.bit))
 
 
 def test_the_words_say_that_a_new_target_is_on_its_way() -> None:

@@ -12,8 +12,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto as P
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.exceptions import EndOfFile
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
@@ -21,7 +19,7 @@ from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from rigctl.ipc.record import COMMAND, FRAME, RECORD, FrameFlag
+from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.recorder import frame_block, recording
 from rigctl.recorder.audit_log import AuditLog, Item
 from rigctl.recorder.recording import RecordingError
@@ -292,49 +290,27 @@ def test_blocks_of_frames_give_the_frames_back(count: int) -> None:
     assert again.tobytes() == frames.tobytes()
 
 
-def old_schema() -> bytes:
-    """Schema of a frame as trip dumps had it: a message for each frame."""
-    kinds = {"seq": P.TYPE_FIXED64, "t_ns": P.TYPE_SFIXED64, "can_id": P.TYPE_FIXED32, "sent": P.TYPE_FIXED32,
-             "dlc": P.TYPE_FIXED32, "data": P.TYPE_BYTES}  # fmt: skip
-    files = FileDescriptorSet()
-    file = files.file.add(name="rigctl/frame.proto", package="rigctl", syntax="proto3")
-    message = file.message_type.add(name="Frame")
-    for number, (name, kind) in enumerate(kinds.items(), 1):
-        message.field.add(name=name, number=number, type=kind, label=P.LABEL_OPTIONAL)
-    return bytes(files.SerializeToString())
-
-
-def old_frame(frame: np.void) -> bytes:
-    seq, t_ns, can_id, sent, dlc = (int(frame[name]) for name in ("seq", "t_ns", "can_id", "sent", "dlc"))
-    data = bytes(frame["data"])
-    data = b"" if can_id & FrameFlag.REMOTE else data.ljust(8, b"\0")[:dlc]
-    head = struct.pack("<cQcqcIcIcIcB", b"\x09", seq, b"\x11", t_ns, b"\x1d", can_id, b"\x25", sent, b"\x2d", dlc,
-                       b"\x32", len(data))  # fmt: skip
-    return head + data
-
-
-def test_a_trip_dump_from_before_frames_came_in_blocks_gives_the_same_frames(tmp_path: pathlib.Path) -> None:
-    sent = [(0x182, 8, b"\1\2\3\4\5\6\0\0"), (0x80, 0, b""), (0x701, 1, b"\5"), (FrameFlag.REMOTE | 0x123, 4, b"")]
-    frames = np.zeros(100, FRAME.dtype)
-    frames["seq"] = np.arange(7, 107)
-    frames["t_ns"] = 5_000_000_000 + 1000 * np.arange(100)
-    for number, frame in enumerate(frames):
-        frame["can_id"], frame["dlc"], frame["data"] = sent[number % len(sent)]
-        frame["sent"] = number % 2
-    path, schema = tmp_path / "old.mcap", old_schema()
+@pytest.mark.parametrize(
+    ("metadata", "found"),
+    [({"format": "1", "version": "0.1.0"}, "found format 1, expected format 2: it was made by rigctl 0.1.0 with"),
+     ({"version": "0.1.0"}, "found no format, expected format 2: it was made by rigctl 0.1.0 with"),
+     ({"format": "3"}, "found format 3, expected format 2: it was made by a rigctl that it does not name with"),
+     ({"format": "1\n2"}, r"found format 1\\n2, expected")],
+    ids=["recording", "dump", "unnamed", "two lines"],
+)  # fmt: skip
+def test_a_file_with_other_bits_for_the_causes_is_refused_and_names_the_release(
+    tmp_path: pathlib.Path, metadata: dict[str, str], found: str
+) -> None:
+    path = tmp_path / "former.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="rigctl")
-        channel = writer.register_channel(
-            "/frames", "protobuf", writer.register_schema("rigctl.Frame", "protobuf", schema)
-        )
-        writer.add_metadata("rigctl", {"rig": "old_rig", "fault": "CELL_STALE", "started_wall_ns": "7"})
-        for frame in frames:
-            writer.add_message(channel, int(frame["t_ns"]), old_frame(frame), int(frame["t_ns"]))
+        writer.add_metadata("rigctl", {"rig": "paper_rig", "run": "7", **metadata})
         writer.finish()  # type: ignore[no-untyped-call]
-    (message, found), *_ = decoded(path, "/frames")
-    assert (message.log_time, found.can_id, found.data) == (5_000_000_000, 0x182, sent[0][2])
-    assert same(recording.read(path).frames, frames)
+    with pytest.raises(RecordingError, match=found) as refused:
+        recording.read(path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert "\n" not in str(refused.value)
 
 
 def test_all_of_a_recording_that_has_ended_is_on_the_disk(tape: Tape, monkeypatch: pytest.MonkeyPatch) -> None:

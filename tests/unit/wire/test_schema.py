@@ -13,6 +13,7 @@ import pytest
 
 from rigctl.client.decoding import KNOWN_VERSIONS, SchemaError, layout_of
 from rigctl.control.events import Kind
+from rigctl.control.faults import Fault, faults_of
 from rigctl.control.modes import Verb
 from rigctl.ipc.notes import Note, note_message
 from rigctl.ipc.record import EVENT, NOTE, RECORD
@@ -115,6 +116,11 @@ def test_every_number_of_an_enumeration_has_its_name() -> None:
     assert SCHEMA["enums"]["verbs"] == {verb.name: int(verb) for verb in Verb}
 
 
+def test_every_bit_of_the_causes_in_a_record_has_the_name_of_its_fault() -> None:
+    found = {name: faults_of(bit) for name, bit in SCHEMA["enums"]["cause_bits"].items()}
+    assert found == {fault.name: [fault] for fault in Fault if fault is not Fault.NONE}
+
+
 def test_this_client_knows_this_version_and_no_other() -> None:
     assert VERSION in KNOWN_VERSIONS
     for version in (VERSION + 1, 0, "1", None):
@@ -128,7 +134,7 @@ def test_an_array_field_is_read_with_its_shape() -> None:
         {"name": "seq", "type": "<u8", "offset": 0, "size": 8},
         {"name": "cov", "type": "<f4", "offset": 12, "size": 16, "shape": [2, 2], "unit": "N^2"},
     ]
-    layout = layout_of({"version": 1, "fast": {"record": {"size": 32, "fields": fields}}})
+    layout = layout_of({"version": VERSION, "fast": {"record": {"size": 32, "fields": fields}}})
     data = struct.pack("<Q4x4f4x", 7, 1, 2, 3, 4)
     block = layout.decode(decode(encode(data, 32, first_seq=7, lost=0, stream=1, head_seq=7)))
     assert block["cov"].tolist() == [[[1.0, 2.0], [3.0, 4.0]]]
@@ -139,5 +145,5 @@ def test_an_array_field_is_read_with_its_shape() -> None:
     {"name": "seq", "type": "<u8", "offset": 0, "size": 8}]}}])  # fmt: skip
 def test_what_is_no_schema_is_refused_in_one_line(fast: dict[str, Any]) -> None:
     with pytest.raises(SchemaError, match="meta/schema cannot be used: ") as refused:
-        layout_of({"version": 1, "fast": fast})
+        layout_of({"version": VERSION, "fast": fast})
     assert "\n" not in str(refused.value)
