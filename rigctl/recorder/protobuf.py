@@ -21,7 +21,6 @@ from rigctl.recorder.enums import enum_of
 WIRE_VARINT, WIRE_64, WIRE_BYTES, WIRE_32 = 0, 1, 2, 5
 ENUM_BYTES = 3
 """Width of a number of up to 16 bits as a varint, padded to a fixed width, which protobuf allows."""
-_BYTES_MAX = 8
 _P = FieldDescriptorProto
 _WIRE = {
     _P.TYPE_DOUBLE: (WIRE_64, "<f8"),
@@ -29,7 +28,6 @@ _WIRE = {
     _P.TYPE_SFIXED64: (WIRE_64, "<i8"),
     _P.TYPE_FIXED64: (WIRE_64, "<u8"),
     _P.TYPE_FIXED32: (WIRE_32, "<u4"),
-    _P.TYPE_BYTES: (WIRE_BYTES, f"S{_BYTES_MAX}"),
     _P.TYPE_ENUM: (WIRE_VARINT, f"({ENUM_BYTES},)u1"),
 }
 """Wire type and numpy type of each protobuf type."""
@@ -46,7 +44,7 @@ class LayoutError(ValueError):
 
 
 class Encoding:
-    """Encoding of one kind of slot, which has no bytes field."""
+    """Encoding of one kind of slot, which has numbers alone."""
 
     def __init__(self, slot: Slot, exact: Container[str] | None = None) -> None:
         """``exact``: double fields that keep 64 bits, the other doubles get 32; None: all keep 64."""
@@ -103,21 +101,9 @@ class Decoding:
         self.dtype = known if same else np.dtype(
             [(field, known[field] if field in (known.names or ()) else kind) for field, kind in kinds.items()]
         )  # fmt: skip
-        if any(self.dtype[field].kind not in ("S" if kind[0] == "S" else "iuf") for field, kind in kinds.items()):
+        if any(self.dtype[field].kind not in "iuf" for field in kinds):
             raise LayoutError(f"the schema {name} has fields of another type")
-        self._layouts: dict[int, tuple[np.dtype[Any], npt.NDArray[np.uint8], npt.NDArray[np.intp]]] = {}
-
-    def _layout(self, width: int) -> tuple[np.dtype[Any], npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
-        """Layout of messages of ``width`` bytes, see `_packed`; a bytes field takes what is left."""
-        if width not in self._layouts:
-            fixed = _packed(self._fields, 0)[0].itemsize
-            has_bytes = self._fields[-1][2] == _P.TYPE_BYTES
-            if has_bytes and not 0 <= width - fixed <= _BYTES_MAX:
-                raise LayoutError(f"a message of {self.name} has {count(width, 'byte')}")
-            if not has_bytes and width != fixed:
-                raise LayoutError(f"a message of {self.name} has {count(width, 'byte')}, expected {fixed}")
-            self._layouts[width] = _packed(self._fields, width - fixed)
-        return self._layouts[width]
+        self._packed, self._template, self._constant = _packed(self._fields)
 
     def decode(self, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
         """The messages in order.
@@ -125,24 +111,20 @@ class Decoding:
         Raises:
             LayoutError: a message has another layout.
         """
-        made = np.zeros(len(messages), self.dtype)
-        widths = np.array([len(message) for message in messages])
-        for width in np.unique(widths).tolist():
-            packed, template, constant = self._layout(width)
-            where = np.flatnonzero(widths == width)
-            which = slice(None) if len(where) == len(messages) else where
-            raw = np.frombuffer(b"".join([messages[at] for at in where.tolist()]), np.uint8).reshape(-1, width)
-            if not np.all(raw[:, constant] == template[constant]):
-                raise LayoutError(f"a message of {self.name} is not laid out as it says")
-            values = raw.reshape(-1).view(packed)
-            for name, _, kind in self._fields:
-                if name in (packed.names or ()):
-                    made[name][which] = _of_varints(values[name]) if kind == _P.TYPE_ENUM else values[name]
+        width = self._packed.itemsize
+        for other in (len(message) for message in messages if len(message) != width):
+            raise LayoutError(f"a message of {self.name} has {count(other, 'byte')}, expected {width}")
+        raw = np.frombuffer(b"".join(messages), np.uint8).reshape(-1, width)
+        if not np.all(raw[:, self._constant] == self._template[self._constant]):
+            raise LayoutError(f"a message of {self.name} is not laid out as it says")
+        made, values = np.zeros(len(messages), self.dtype), raw.reshape(-1).view(self._packed)
+        for name, _, kind in self._fields:
+            made[name] = _of_varints(values[name]) if kind == _P.TYPE_ENUM else values[name]
         return made
 
 
 def _fields(descriptor: bytes, name: str) -> _Fields:
-    """The fields of a message of fixed width: its bytes field, if it has one, is the last."""
+    """The fields of a message of fixed width."""
     try:
         files = FileDescriptorSet.FromString(descriptor)
     except DecodeError:
@@ -155,27 +137,20 @@ def _fields(descriptor: bytes, name: str) -> _Fields:
                 found
                 and len({field for field, _, _ in found}) == len(found)
                 and all(kind in _WIRE and 0 < number < 2048 for _, number, kind in found)
-                and all(kind != _P.TYPE_BYTES for _, _, kind in found[:-1])
             ):
                 return found
             break
     raise LayoutError(f"the schema {name} has fields without a fixed width")
 
 
-def _packed(
-    fields: _Fields, data_bytes: int = 0
-) -> tuple[np.dtype[Any], npt.NDArray[np.uint8], npt.NDArray[np.intp]]:  # fmt: skip
-    """Struct of a message whose bytes field has ``data_bytes``; an empty message; the places of its constant bytes."""
+def _packed(fields: _Fields) -> tuple[np.dtype[Any], npt.NDArray[np.uint8], npt.NDArray[np.intp]]:
+    """Struct of a message; an empty message; the places of its constant bytes."""
     layout: list[tuple[str, str]] = []
     tags = {}
     for name, number, kind in fields:
         wire, code = _WIRE[kind]
-        tags[f"tag_{name}"] = tag(number, wire) + (bytes([data_bytes]) if kind == _P.TYPE_BYTES else b"")
-        layout.append((f"tag_{name}", f"V{len(tags[f'tag_{name}'])}"))
-        if kind != _P.TYPE_BYTES:
-            layout.append((name, code))
-        elif data_bytes:
-            layout.append((name, f"S{data_bytes}"))
+        tags[f"tag_{name}"] = tag(number, wire)
+        layout += [(f"tag_{name}", f"V{len(tags[f'tag_{name}'])}"), (name, code)]
     packed = np.dtype(layout)
     empty, constant = np.zeros(1, packed), np.zeros(1, packed)
     for name, content in tags.items():
