@@ -23,6 +23,8 @@ UNDO_MM = 0.04
 UNDO_SHARE = 0.5
 """Of that way the tension has to show so much: the rope's stiffness may be off, and a payload may move."""
 UNDONE_TEXT = " right after it had taken the load, the motor takes it back"
+_SEATED_NS = 400_000_000
+"""A drive reports off once its brake has closed: play and wind-up are taken up by then, whatever delay is stated."""
 _UNDO_SMOOTH_S = 0.02  # of the cell's noise
 
 
@@ -78,6 +80,7 @@ class FirstSecond:
         self._stiffness = plant.slow_stiffness_n_mm
         self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n / self._stiffness)
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
+        self._seated_ns = min(self._brake_ns, _SEATED_NS)
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = settings.loop.period_ns * 1e-9 / _UNDO_SMOOTH_S
         self._slack_n = settings.tension.slack_n
@@ -97,7 +100,7 @@ class FirstSecond:
         self._closed = False
 
     def look(self, snapshot: Snapshot, *, moves: bool) -> None:
-        """One tick; the way counts from the end of the brake's time on, since its play is taken up until then.
+        """One tick; the way counts from the end of the brake's time on, but from `_SEATED_NS` at the latest.
 
         ``moves``: STROKE_MOVES is active, which no play is: the way counts from the motor's end on then. Its 0.2 s may
         be over before the brake's time is.
@@ -119,7 +122,7 @@ class FirstSecond:
             if math.isfinite(self._from_mm):  # it has come on again
                 self.end()
             return
-        closed = snapshot.off_ns >= self._brake_ns
+        closed = snapshot.off_ns >= self._seated_ns
         if math.isnan(self._from_mm) or (closed and not self._closed):
             self._from_mm, self._from_n = snapshot.stroke_mm, self._tension_n
         self._closed = closed
