@@ -8,6 +8,7 @@ of a healthy rig are ridden through within a bound on the true tension.
 from __future__ import annotations
 
 from hil.faults import rows_parked
+from hil.faults.rows_alone import ALONE
 from hil.faults.rows_brake import BRAKE
 from hil.faults.rows_bus import BUS
 from hil.faults.rows_commands import COMMANDS
@@ -24,10 +25,12 @@ from hil.faults.rows_turn import AFTER, INSIDE
 CATALOGUE = (
     *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *SECOND_FORCE,
     *DRIVE_FEEDBACK, *BUS, *COMMANDS, *SUPERVISION, *DRIVE, *BRAKE, *CREEP, *PROBE, *PLANT, *CONTROLLER,
-    *RIGS, *INSIDE, *AFTER,
+    *RIGS, *INSIDE, *AFTER, *ALONE,
 )  # fmt: skip
 """Faults that simulated time can show; `hil.faults.processes` has the faults of real processes."""
 BY_ID = {fault.id: fault for fault in CATALOGUE}
-PARKED = {fault.id: row for fault in CATALOGUE if fault not in BRAKE and (row := rows_parked.of(fault)) is not None}
-"""By the id of the fault: its row with the load on the brake. The rows of `BRAKE` begin and end there themselves."""
+PARKED = {
+    fault.id: row for fault in CATALOGUE if fault not in (*BRAKE, *ALONE) and (row := rows_parked.of(fault)) is not None
+}
+"""By the id of the fault: its row with the load on the brake. The rows of `BRAKE` and `ALONE` do that themselves."""
 ROWS = BY_ID | {row.id: row for row in PARKED.values()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import itertools
+import math
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
@@ -37,12 +38,13 @@ def can_id(frame: bytes) -> int:
     return int(FRAME.unpack(frame)[0])
 
 
-def silent(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
+def silent(find: FindNode, base: int = objects.TPDO1_BASE, seconds: float = math.inf) -> Injector:
     """One device's samples, or other frames of its own, are lost from now on."""
 
-    def inject(stand: Stand) -> None:
+    def inject(stand: Stand) -> Step:
         gone = base + find(stand).id
-        stand.intercept(lambda _, frame: () if can_id(frame) == gone else (frame,))
+        heard = stand.intercept(lambda _, frame: () if can_id(frame) == gone else (frame,))
+        return stand.ends_after(seconds, heard)
 
     return inject
 

@@ -15,6 +15,10 @@ PARTS: tuple[tuple[str, tuple[Part, ...]], ...] = (
     ("encoder_stuck_creeps_*", (Part.ENCODER, Part.DRIVE)),
     ("encoder_stuck_brake_slips_*", (Part.ENCODER, Part.BRAKE)),
     ("cell_frozen_encoder_drifts_*", (*CELL, Part.ENCODER)),
+    ("cell_stuck_then_*", (Part.AMPLIFIER, Part.DRIVE, Part.BRAKE)),
+    ("encoder_drifts_then_*", (Part.ENCODER, Part.AMPLIFIER, Part.BRAKE)),
+    ("cell_silent_then_*", (Part.AMPLIFIER, Part.BRAKE)),
+    ("runs_away_then_*", (Part.DRIVE, Part.MASTER)),
     ("cell_silent_encoder_drifts_*", (Part.AMPLIFIER, Part.ENCODER)),
     # Faults inside transitions and on other rigs, by their own ending; the last of a sequence
     ("*_[0-9]*_cell_jumps", CELL),

@@ -85,13 +85,14 @@ def _statements(run: RecordedTruth, settings: RigSettings, off_late_s: float, of
     yield Statement("motor holds or moves the load", np.isin(held_by, _BY_MOTOR), run.enabled, silent_s)
     fresh = records["drive_quality"] == 0
     yield Statement("drive enabled", (flags & Flag.DRIVE_ENABLED != 0) & fresh, run.enabled, silent_s)
-    yield Statement("brake closing", held_by == HeldBy.CLOSING, off | ~rests, CLOSES_S, process=True)
+    closing, closes_s = held_by == HeldBy.CLOSING, settings.cylinder.brake_delay_ms * 1e-3
+    yield Statement("brake closing", closing, off | ~rests, CLOSES_S, process=True)
+    yield Statement("brake still closing", closing, ~run.closed, closes_s + CLOSES_S, process=True)
     braked = held_by == HeldBy.BRAKE
     yield Statement("held by the brake", braked & ~by_stroke, off & run.closed & rests, REST_S)
     yield Statement("held by the brake", braked & by_stroke, off & run.closed & still, REST_S)
     yield Statement("load at rest", np.isin(shown, _RESTS), rests, REST_S)
     yield Statement("load at rest by the stroke", by_stroke, still, REST_S)
-    closes_s = settings.cylinder.brake_delay_ms * 1e-3
     fails = flags & Flag.BRAKE_FAILS != 0
     if settings.cylinder.brake_waiver is None and not fails[0]:
         moved_mm = (_slipped_mm(run, values, closes_s, from_off=True) for values in (run.stroke_mm, _reported_mm(run)))
