@@ -15,9 +15,12 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import LoopSettings
 
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _PR_SET_TIMERSLACK, _PR_GET_TIMERSLACK, _PR_SET_PDEATHSIG = 29, 30, 1
 _libc = ctypes.CDLL(None, use_errno=True)
+_RESERVE_KIB, _UNUSED = 1 << 14, 8
+"""A mapping of this size or more, of which less than an eighth is in use, is a reserve: OpenBLAS has two buffers of
+32 MiB, and kernels for other processors."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,11 @@ def _affinity(cpu: int) -> Applied:
 
 
 def _lock_memory() -> Applied:
-    failed = _libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0
+    """Lock all memory, with every page in place but those of reserves, which are locked as they are taken into use."""
+    failed = _libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) != 0
+    for begin, size in [] if failed else _in_use():
+        _libc.mlock(ctypes.c_void_p(begin), ctypes.c_size_t(size))
+    failed = failed or _libc.mlockall(_MCL_FUTURE) != 0
     locked = _status_kib("VmLck")
     ok = not failed and locked > 0
     return Applied(
@@ -106,6 +113,22 @@ def _lock_memory() -> Applied:
         ok,
         "" if ok else "mlockall not allowed: run as root, or raise RLIMIT_MEMLOCK (limits.conf: memlock unlimited)",
     )
+
+
+def _in_use() -> list[tuple[int, int]]:
+    """Begin and size in bytes of the mappings of this process but for reserves."""
+    found: list[tuple[int, int]] = []
+    with open("/proc/self/smaps", encoding="utf-8") as file:  # noqa: PTH123 - procfs
+        for line in file:
+            first, _, rest = line.partition(" ")
+            if first == "Rss:":
+                begin, size = found[-1]
+                if size >> 10 >= _RESERVE_KIB and int(rest.split()[0]) < (size >> 10) // _UNUSED:
+                    found.pop()
+            elif not first.endswith(":"):
+                begin, end = (int(part, 16) for part in first.split("-"))
+                found.append((begin, end - begin))
+    return found
 
 
 def _timer_slack() -> Applied:

@@ -43,7 +43,7 @@ def write(recording: Recording, tables: Mapping[str, list[Column]], file: pathli
 
 
 def _library() -> Any:
-    """asammdf, which `rigctl.control` keeps python-can from importing."""
+    """asammdf, which `rigctl` keeps python-can from importing."""
     if sys.modules.get(_DISTRIBUTION, sys) is None:
         del sys.modules[_DISTRIBUTION]
     return importlib.import_module(_DISTRIBUTION)

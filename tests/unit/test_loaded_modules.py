@@ -167,3 +167,18 @@ def test_a_program_limits_numpys_threads_before_it_loads_numpy(words: tuple[str,
         cwd=ROOT, env=environment, capture_output=True, text=True, timeout=patience_s(), check=False,
     )  # fmt: skip
     assert "numpy with 1 threads\n" in done.stderr
+
+
+UNUSED = {"asammdf", "pandas", "pyarrow", "sympy", "lxml", "cryptography", "canmatrix", "matplotlib", "control",
+          "filterpy", "zenoh", "cvxpy"}  # fmt: skip
+"""What a process that locks its memory would keep resident without using it."""
+
+
+@pytest.mark.parametrize(
+    ("module", "more"),
+    [("hil.serve", set()), ("hil.faults.served", set()), ("rigctl.control.control_process", {"numba", "scipy", "hil"})],
+)
+def test_a_process_with_locked_memory_loads_what_it_uses(module: str, more: set[str]) -> None:
+    code = f"import json, sys, {module}; print(json.dumps([name for name in sys.modules if sys.modules[name]]))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not top(set(json.loads(done.stdout))) & (UNUSED | more)

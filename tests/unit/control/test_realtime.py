@@ -51,3 +51,36 @@ def test_without_rights_each_refused_setting_says_what_would_help() -> None:
     assert "loop.cpu" in rows["affinity"][2]
     assert rows["scheduler"][1] == "SCHED_OTHER"
     assert rows["garbage collector"][0]
+
+
+LOCKED = """
+import mmap
+from rigctl.config.settings import LoopSettings
+from rigctl.control import realtime
+
+MIB = 1 << 20
+reserve, used, small = mmap.mmap(-1, 64 * MIB), mmap.mmap(-1, 64 * MIB), mmap.mmap(-1, 4 * MIB)
+used[: 16 * MIB] = bytes(16 * MIB)
+
+def resident_mib():
+    return realtime._status_kib("VmRSS") >> 10
+
+before = resident_mib()
+realtime.apply(LoopSettings(rate_hz=1000, lock_memory=True))
+locked = resident_mib()
+reserve[: 32 * MIB] = bytes(32 * MIB)
+taken = resident_mib()
+later = mmap.mmap(-1, 16 * MIB)
+print(locked - before, taken - locked, resident_mib() - taken, realtime._status_kib("VmLck") >> 10)
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to lock memory")
+def test_all_memory_is_locked_and_in_place_but_for_what_a_library_keeps_in_reserve() -> None:
+    done = subprocess.run([sys.executable, "-c", LOCKED], capture_output=True, text=True, check=True)
+    in_place, taken, later, locked = map(int, done.stdout.split())
+    assert in_place >= 48 + 4  # the rest of what is in use, and what is small
+    assert in_place < 48 + 4 + 64  # the reserve is not
+    assert taken == pytest.approx(32, abs=1)
+    assert later == pytest.approx(16, abs=1)
+    assert locked >= 64 + 64 + 4 + 16
