@@ -82,7 +82,7 @@ def _paper(
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for a picture per figure")] = None,
 ) -> None:
     """Play the paper's study, locked and with the loop closed, and compare it with what the paper prints."""
-    from hil.cli.paper import run
+    from hil.studies.cli.paper import run
 
     raise typer.Exit(run(file or rig_file.shipped(PAPER), json, plots))
 
@@ -132,8 +132,8 @@ def _compare(
     All of it takes about 17 minutes of processor time; --quick about 3. --equal-limits takes about 120, --random
     about 2 for each rig of ours (with --designs 5), --front about 20.
     """
-    from hil.cli import compare_tuned
-    from hil.cli.compare import run
+    from hil.studies.cli import compare_tuned
+    from hil.studies.cli.compare import run
 
     file = file or rig_file.shipped(PAPER)
     if equal_limits or random or bound or front is not None:
@@ -160,7 +160,7 @@ def _cell(
     json: JsonFile = None,
 ) -> None:
     """Hold the cell's stated uncertainty, before and after compensation, against the truth of many drawn cells."""
-    from hil.cli.cell import run
+    from hil.studies.cli.cell import run
 
     raise typer.Exit(run(file or rig_file.shipped(PAPER), cells, json))
 
@@ -173,7 +173,7 @@ def _moves(
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the picture")] = None,
 ) -> None:
     """Repeat one move with learning, and with what was tried against friction at the reversal (docs/reversal.md)."""
-    from hil.cli.moves import run
+    from hil.studies.cli.moves import run
 
     raise typer.Exit(run(file or rig_file.shipped(PAPER), only or [], json, plots))
 
@@ -194,7 +194,7 @@ def _roll_back(
     json: JsonFile = None,
 ) -> None:
     """Let the motor take loads of 50 to 350 N from the brake, without a preload and with one of a drawn error."""
-    from hil.cli.roll_back import run
+    from hil.studies.cli.roll_back import run
 
     raise typer.Exit(run(file or rig_file.shipped(PAPER), draw, seed, json))
 

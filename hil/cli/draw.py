@@ -12,8 +12,8 @@ from hil.faults import fault_tables, naming
 from hil.faults.drawn import draw_file, named_draws, played_draws
 from hil.faults.drawn.draw import BLOCK
 from hil.faults.drawn.played_draws import Judged
+from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.study.rows_file import RowsFile
 from rigctl import __version__
 from rigctl.cli.progress import progress
 from rigctl.config.settings import RigSettings

@@ -16,9 +16,9 @@ from hil.cli.files import check_outputs, simulated_rig
 from hil.cli.two_files import conclude, listed, print_line
 from hil.faults.digests import comparison, drawn_runs, play, played_rows
 from hil.faults.digests.played_rows import PlayedRow
+from hil.runs import rows_file
+from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.study import rows_file
-from hil.study.rows_file import RowsFile
 from rigctl.cli.progress import progress
 
 _SOURCES = frozenset({".py", ".yaml", ".eds", ".dbc"})

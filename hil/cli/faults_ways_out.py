@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from hil.cli.faults import choose
 from hil.cli.faults_hash import source_of
 from hil.cli.files import check_outputs, simulated_rig
-from hil.study.rows_file import RowsFile
+from hil.runs.rows_file import RowsFile
 from hil.ways_out import play
 from hil.ways_out.play import LedOut
 from rigctl.cli.progress import progress

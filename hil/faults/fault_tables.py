@@ -14,7 +14,7 @@ from hil.faults.expected import Expected, InjectedFault, Reaction
 from hil.faults.judge import FaultResult
 from hil.faults.naming import NamedRow, Naming, confusion, shares
 from hil.faults.processes import ProcessFault
-from hil.study.result_table import console
+from hil.runs.result_table import console
 from rigctl.config.quantity import count
 from rigctl.control.modes import Mode
 

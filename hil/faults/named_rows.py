@@ -9,9 +9,9 @@ from hil.faults.catalogue import BY_ID
 from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Bench, by_start
 from hil.faults.naming import NamedRow, RecordedRow, culprit, named, recorded
+from hil.runs import runner
+from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
-from hil.study import runner
-from hil.study.runner import Work
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode

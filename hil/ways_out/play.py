@@ -13,10 +13,10 @@ from hil.faults.lockstep_run import Bench, by_start, to_tensioning
 from hil.faults.parts import parts_of
 from hil.faults.stand import NoDeviceError, Stand
 from hil.faults.standing import restoring
+from hil.runs import runner
+from hil.runs.rows_file import RowsFile
+from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
-from hil.study import runner
-from hil.study.rows_file import RowsFile
-from hil.study.runner import Work
 from hil.ways_out.step_follower import End, StepFollower
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode

@@ -16,11 +16,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from hil.compare.compared_runs import MOVE_S, STEADY_S
 from hil.nodes.second_force import ORIGIN_MM
 from hil.plant.layout import MECHANISM
 from hil.scenario.play import play
-from hil.study.planned_run import SPEED_DEG_S, STIFFNESSES_N_MM, onwards
+from hil.studies.compare.compared_runs import MOVE_S, STEADY_S
+from hil.studies.planned_run import SPEED_DEG_S, STIFFNESSES_N_MM, onwards
 from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.compare.measured_ms import measured
 from hil.lockstep import Lockstep, lockstep
+from hil.studies.compare.measured_ms import measured
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind

@@ -10,7 +10,7 @@ from hil.faults import stand
 from hil.faults.in_device import STROKE, both, brake_slips, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
-from hil.roll_back.study import SET
+from hil.studies.roll_back.study import SET
 from rigctl.config import rig_file, strict_yaml
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from hil.roll_back.study import LIMIT_MM, RollBackCase, cases, settings_of, taken_over
+from hil.studies.roll_back.study import LIMIT_MM, RollBackCase, cases, settings_of, taken_over
 from rigctl.config.changed_settings import changed
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.tension import Gains

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hil.compare.identification import true_plant
-from hil.compare.random_rigs import drawn
 from hil.plant import Plant
+from hil.studies.compare.identification import true_plant
+from hil.studies.compare.random_rigs import drawn
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings

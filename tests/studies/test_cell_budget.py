@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from hil.cell import coverage
-from hil.cell.coverage import SLACK, TARED, UNCORRECTED, Coverage
-from hil.compare import cell as compared_cell
-from hil.compare import comparison
-from hil.compare.compared_runs import compared_runs
-from hil.compare.rivals import OURS
+from hil.studies.cell import coverage
+from hil.studies.cell.coverage import SLACK, TARED, UNCORRECTED, Coverage
+from hil.studies.compare import cell as compared_cell
+from hil.studies.compare import comparison
+from hil.studies.compare.compared_runs import compared_runs
+from hil.studies.compare.rivals import OURS
 from rigctl.config import rig_file
 
 RIG = rig_file.load("config/paper_rig.yaml", study=True)

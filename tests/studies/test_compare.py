@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.compare.compared_runs import QUICK, compared_runs
-from hil.compare.comparison import compare as compare_laws
-from hil.compare.comparison import pieces, settling_s
-from hil.compare.rivals import LAWS
+from hil.studies.compare.compared_runs import QUICK, compared_runs
+from hil.studies.compare.comparison import compare as compare_laws
+from hil.studies.compare.comparison import pieces, settling_s
+from hil.studies.compare.rivals import LAWS
 from rigctl.config import rig_file as config
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s

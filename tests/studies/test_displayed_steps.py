@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 
 from hil.cli import faults_ways_out
-from hil.study import rows_file
+from hil.runs import rows_file
 from hil.ways_out import step_follower
 from rigctl.control.logbook import Logbook
 from rigctl.control.modes import Mode

@@ -17,23 +17,23 @@ import pytest
 
 from hil.__main__ import app
 from hil.cli import files
-from hil.compare import equal_limits, front, random_rigs
-from hil.compare.equal_limits import EqualLimits, RunErrors
-from hil.compare.front import FrontPoint
-from hil.compare.measured_ms import Peak
-from hil.compare.random_rigs import RigRow
-from hil.compare.rivals import OURS
-from hil.compare.tuned_laws import TunedLaw
 from hil.faults import gateway_kills, kills, lockstep_rows
 from hil.faults.drawn import draw_file
 from hil.faults.drawn.draw import block_of, pair_of
 from hil.faults.gateway_kills import Figures
 from hil.faults.judge import FaultResult
 from hil.faults.kills import Kill
-from hil.moves import repeated_moves
-from hil.moves.repeated_moves import MoveFigures, RepeatedResult
-from hil.roll_back import study as roll_back
-from hil.roll_back.study import Moved
+from hil.studies.compare import equal_limits, front, random_rigs
+from hil.studies.compare.equal_limits import EqualLimits, RunErrors
+from hil.studies.compare.front import FrontPoint
+from hil.studies.compare.measured_ms import Peak
+from hil.studies.compare.random_rigs import RigRow
+from hil.studies.compare.rivals import OURS
+from hil.studies.compare.tuned_laws import TunedLaw
+from hil.studies.moves import repeated_moves
+from hil.studies.moves.repeated_moves import MoveFigures, RepeatedResult
+from hil.studies.roll_back import study as roll_back
+from hil.studies.roll_back.study import Moved
 from rigctl.config import rig_file
 from tests.builders.every_option import documents, ended_well, untried
 from tests.builders.paths import ROOT

@@ -6,14 +6,14 @@ import pathlib
 
 import pytest
 
-from hil.compare import equal_limits, random_rigs
-from hil.compare.equal_limits import Known, LoopLaw, loop_law, tuning
-from hil.compare.identification import true_plant
-from hil.compare.measured_ms import measured
-from hil.compare.rivals import OURS
-from hil.compare.tuned_laws import TunedLaw, knobs_of
 from hil.faults.in_controller import MOST_LATE
-from hil.study.rows_file import RowsFile
+from hil.runs.rows_file import RowsFile
+from hil.studies.compare import equal_limits, random_rigs
+from hil.studies.compare.equal_limits import Known, LoopLaw, loop_law, tuning
+from hil.studies.compare.identification import true_plant
+from hil.studies.compare.measured_ms import measured
+from hil.studies.compare.rivals import OURS
+from hil.studies.compare.tuned_laws import TunedLaw, knobs_of
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.control.tension import Gains

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from hil.paper.cases import FIGURE_9, NO_SPRING, cases
-from hil.paper.claims import CLAIMS
+from hil.studies.paper.cases import FIGURE_9, NO_SPRING, cases
+from hil.studies.paper.claims import CLAIMS
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from hil.roll_back.takeover import AGAIN_S, DRAWS, LIMIT_MM, TakenOver, Takeover, draw, taken_over
+from hil.studies.roll_back.takeover import AGAIN_S, DRAWS, LIMIT_MM, TakenOver, Takeover, draw, taken_over
 from rigctl.config import rig_file as config
 from rigctl.control import orders
 from rigctl.control.tension import Gains

@@ -17,7 +17,7 @@ from hil.faults import in_device, on_bus, stand
 from hil.faults.in_device import CELL, SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.stand import Injector, Stand, Step
 from hil.lockstep import Lockstep, lockstep
-from hil.roll_back.study import RollBackCase, settings_of
+from hil.studies.roll_back.study import RollBackCase, settings_of
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings

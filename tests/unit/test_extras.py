@@ -129,6 +129,12 @@ def test_a_report_without_its_extra_is_one_line() -> None:
         (("rt", "ops", "sim"), "hil", ["hil", "serve", "x"], "python -m hil: needs the extra rt: found no typer"),
         (("sim",), "hil", ["hil", "serve", "x"], "python -m hil: needs the extra sim: found no numba"),
         (("sim",), "rigctl", ["rigctl", "demo", "--lockstep"], "rigctl: needs the extra sim: found no numba"),
+        (
+            ("studies",),
+            "hil",
+            ["hil", "compare", "--quick"],
+            "python -m hil: needs the extra studies: found no simple_pid",
+        ),
     ],
     ids=str,
 )

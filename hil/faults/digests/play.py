@@ -10,10 +10,10 @@ from hil.faults.digests import drawn_runs, played_rows
 from hil.faults.digests.played_rows import PlayedRow
 from hil.faults.digests.streams import Digests, digests_of
 from hil.faults.lockstep_run import Bench, start_of
+from hil.runs import runner
+from hil.runs.rows_file import RowsFile
+from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
-from hil.study import runner
-from hil.study.rows_file import RowsFile
-from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 
 SOON_AFTER_S = 1.0

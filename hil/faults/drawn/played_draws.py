@@ -10,10 +10,10 @@ from typing import Any
 from hil.faults.drawn import draw_file, oracle, play
 from hil.faults.drawn.draw import BLOCK, Draw, block_of, pair_of
 from hil.faults.drawn.oracle import DrawVerdict
+from hil.runs import runner
+from hil.runs.rows_file import RowsFile
+from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
-from hil.study import runner
-from hil.study.rows_file import RowsFile
-from hil.study.runner import Work
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 

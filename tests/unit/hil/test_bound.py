@@ -11,14 +11,22 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hil.cli import compare_tuned
-from hil.compare.bound import bound_tables, program, study
-from hil.compare.bound.linear_law import Disturbance, Inclination, NoBoundError, StrokeAnswer, Tone, basis, law_of
-from hil.compare.bound.program import Task
-from hil.compare.bound.study import BoundRow, Joint, Ours
-from hil.compare.equal_limits import Known
-from hil.compare.tuned_laws import TunedLaw
 from hil.scenario.errors import ScenarioError
+from hil.studies.cli import compare_tuned
+from hil.studies.compare.bound import bound_tables, program, study
+from hil.studies.compare.bound.linear_law import (
+    Disturbance,
+    Inclination,
+    NoBoundError,
+    StrokeAnswer,
+    Tone,
+    basis,
+    law_of,
+)
+from hil.studies.compare.bound.program import Task
+from hil.studies.compare.bound.study import BoundRow, Joint, Ours
+from hil.studies.compare.equal_limits import Known
+from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import filter_model
 from rigctl.design import surrogate

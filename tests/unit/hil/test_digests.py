@@ -18,8 +18,8 @@ from hil.faults.digests.streams import Digests, digests_of
 from hil.faults.drawn import play as drawn_play
 from hil.faults.drawn.draw import pair_of
 from hil.faults.lockstep_run import Bench, Run
+from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.study.rows_file import RowsFile
 from rigctl.config import rig_file as config
 from rigctl.control import safety
 from rigctl.control.events import Kind

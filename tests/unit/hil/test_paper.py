@@ -8,15 +8,15 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from hil.paper import claims
-from hil.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, cases, speed, stiffness
-from hil.paper.claim_tables import remark
-from hil.paper.claims import CLAIMS, Claim, ClaimResult
-from hil.paper.run_truth import RunTruth
 from hil.plant.inputs import pack
 from hil.plant.kernel import profile
 from hil.plant.layout import HEIGHT, MECHANISM, RUN_OUT
-from hil.study.planned_run import STIFFNESSES_N_MM
+from hil.studies.paper import claims
+from hil.studies.paper.cases import FIGURE_9, NO_SPRING, SPEEDS_DEG_S, cases, speed, stiffness
+from hil.studies.paper.claim_tables import remark
+from hil.studies.paper.claims import CLAIMS, Claim, ClaimResult
+from hil.studies.paper.run_truth import RunTruth
+from hil.studies.planned_run import STIFFNESSES_N_MM
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from tests.builders.rig_bench import SETTINGS

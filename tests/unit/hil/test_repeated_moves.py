@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hil.moves import moves_output
-from hil.moves.repeated_moves import MoveFigures, RepeatedResult, pieces, variants
-from hil.moves.reversal_laws import Dithered, Predicting
+from hil.studies.moves import moves_output
+from hil.studies.moves.repeated_moves import MoveFigures, RepeatedResult, pieces, variants
+from hil.studies.moves.reversal_laws import Dithered, Predicting
 from rigctl.control.inbox import Inbox
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from tests.builders.rig_bench import SETTINGS

@@ -10,14 +10,14 @@ import control
 import numpy as np
 import pytest
 
-from hil.compare.law_robustness import REST, Robustness, response, robustness, sensitivity, swing
-from hil.compare.rivals import LAWS, OURS, PASSIVE
-from hil.compare.rivals.adrc import Adrc
-from hil.compare.rivals.disturbance_observer import DisturbanceObserver
-from hil.compare.rivals.feedback import Feedback, Model, Rival
-from hil.compare.rivals.lqi import Lqi, bryson, kalman_gain
-from hil.compare.rivals.pid import STRETCH_LAG_S, PidFeedForward
-from hil.compare.rivals.proportional import Proportional, ProportionalIntegral, ultimate
+from hil.studies.compare.law_robustness import REST, Robustness, response, robustness, sensitivity, swing
+from hil.studies.compare.rivals import LAWS, OURS, PASSIVE
+from hil.studies.compare.rivals.adrc import Adrc
+from hil.studies.compare.rivals.disturbance_observer import DisturbanceObserver
+from hil.studies.compare.rivals.feedback import Feedback, Model, Rival
+from hil.studies.compare.rivals.lqi import Lqi, bryson, kalman_gain
+from hil.studies.compare.rivals.pid import STRETCH_LAG_S, PidFeedForward
+from hil.studies.compare.rivals.proportional import Proportional, ProportionalIntegral, ultimate
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Estimate, Gains
 from rigctl.design.plant_family import Member, member

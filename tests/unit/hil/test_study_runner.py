@@ -11,8 +11,8 @@ import time
 
 import pytest
 
-from hil.study import runner
-from hil.study.runner import Work
+from hil.runs import runner
+from hil.runs.runner import Work
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 

@@ -13,18 +13,18 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from hil.compare import equal_limits, front, identification, law_robustness, random_rigs
-from hil.compare.equal_limits import COMPARED, EqualLimits, Known, RunErrors, tuning
-from hil.compare.law_robustness import robustness
-from hil.compare.measured_ms import Peak
-from hil.compare.random_rigs import RigRow, drawn, summary
-from hil.compare.rivals import LAWS, OURS
-from hil.compare.rivals.feedback import Model
-from hil.compare.rivals.tunable import TUNABLE
-from hil.compare.tuned_laws import STARTS, FamilyResponses, TunedLaw, judged, knobs_of, tuned
-from hil.compare.tuned_tables import show_equal_limits
+from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.study.rows_file import RowsFile
+from hil.studies.compare import equal_limits, front, identification, law_robustness, random_rigs
+from hil.studies.compare.equal_limits import COMPARED, EqualLimits, Known, RunErrors, tuning
+from hil.studies.compare.law_robustness import robustness
+from hil.studies.compare.measured_ms import Peak
+from hil.studies.compare.random_rigs import RigRow, drawn, summary
+from hil.studies.compare.rivals import LAWS, OURS
+from hil.studies.compare.rivals.feedback import Model
+from hil.studies.compare.rivals.tunable import TUNABLE
+from hil.studies.compare.tuned_laws import STARTS, FamilyResponses, TunedLaw, judged, knobs_of, tuned
+from hil.studies.compare.tuned_tables import show_equal_limits
 from rigctl.config.changed_settings import changed
 from rigctl.design import identified, plant_family
 from rigctl.design.margins import design_and_check

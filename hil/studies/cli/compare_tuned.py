@@ -1,0 +1,128 @@
+"""``python -m hil compare --equal-limits``, ``--random``, ``--front`` and ``--bound``: laws tuned by one
+optimiser."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hil.cli.files import check_names, check_outputs, publish, say, simulated_rig
+from hil.runs.result_table import console
+from hil.runs.rows_file import RowsFile
+from hil.scenario.errors import ScenarioError
+from hil.studies.compare import equal_limits, front, random_rigs, tuned_laws, tuned_tables
+from hil.studies.compare.compared_runs import QUICK, compared_runs
+from hil.studies.compare.rivals import OURS
+from rigctl.config.settings import RigSettings
+from rigctl.design import gain_file
+
+WIDTH = 132
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options that the studies have in common; see ``python -m hil compare --help``."""
+
+    only: Sequence[str]
+    controllers: Sequence[str]
+    json: pathlib.Path | None
+    rows: pathlib.Path | None
+    quick: bool = False
+    designs: int | None = None
+
+    def say(self, line: str) -> None:
+        """Print a line; on standard error, where standard output takes JSON."""
+        say(self.json, line)
+
+    def laws(self, allowed: Sequence[str], default: Sequence[str]) -> list[str]:
+        """The laws named; by default those of ``default``."""
+        names = [name for part in self.controllers for name in part.split(",")]
+        check_names("--controllers", names, allowed)
+        return [law for law in allowed if law in (names or default)]
+
+
+def run_equal_limits(rig_file: pathlib.Path, asked: Asked) -> int:
+    """Tune and play; returns 0, or 1 when our law did not reach the end of a run.
+
+    Raises:
+        ScenarioError: bad input, or a rig that cannot be simulated.
+        OutputError: a file that cannot be written.
+    """
+    rig, laws = _rig(rig_file, asked), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
+    runs = compared_runs(rig)
+    check_names("--only", asked.only, [run.name for run in runs])
+    wanted = asked.only or (QUICK if asked.quick else ())
+    chosen = [run for run in runs if not wanted or run.name in wanted]
+    found = equal_limits.study(rig, chosen, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say, asked.designs)
+    publish(asked.json, equal_limits.document(found), lambda: tuned_tables.show_equal_limits(found, console(WIDTH)))
+    return int(any(law == OURS and row.eta_rms_pct is None for (_, law), row in found.outcomes.items()))
+
+
+def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
+    """Our law against the convex bound; returns 0, or 1 when ours is below it.
+
+    Raises: as `run_equal_limits`.
+    """
+    from hil.studies.compare.bound import bound_tables, study  # the solver takes seconds to load
+    from hil.studies.compare.bound.linear_law import NoBoundError
+
+    rig = _rig(rig_file, asked)
+    asked.laws((OURS,), (OURS,))
+    runs = compared_runs(rig)
+    every = study.names(runs)
+    check_names("--only", asked.only, every)
+    kept = RowsFile(asked.rows, _of(rig, asked))
+    try:
+        found, joint = study.study(rig, runs, asked.only or every, kept, asked.say, asked.designs)
+    except NoBoundError as error:
+        raise ScenarioError([f"{rig_file}: {error}"]) from None
+    figures = study.document(rig, found, joint)
+    publish(asked.json, figures, lambda: bound_tables.show_bound(rig, found, joint, console(WIDTH)))
+    return int(any(row.below for row in found))
+
+
+def run_random(rig_file: pathlib.Path, count: int, seed: int, asked: Asked) -> int:
+    """Random rigs; returns 0, or 1 when our identified law tripped on one, or has Ms above the limit there.
+
+    Raises: as `run_equal_limits`.
+    """
+    allowed = (*equal_limits.COMPARED, random_rigs.ASSUMED)
+    rig, laws = _rig(rig_file, asked), asked.laws(allowed, random_rigs.DEFAULT_LAWS)
+    rows = RowsFile(asked.rows, {**_of(rig, asked), "seed": seed})
+    found = random_rigs.study(rig, count, seed, laws, rows, asked.say, asked.designs)
+    limit = rig.design.ms_max
+    said = random_rigs.summary(found, limit)
+    document = {"seed": seed, "laws": said, "rigs": [row._asdict() for row in found]}
+    publish(asked.json, document, lambda: tuned_tables.show_random(found, limit, console(WIDTH)))
+    return int(OURS in said and said[OURS]["ended_early"] + said[OURS]["ms_above"] > 0)
+
+
+def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
+    """Draw the front of error against Ms; returns 0.
+
+    Raises: as `run_equal_limits`.
+    """
+    rig, laws = _rig(rig_file, asked, file), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
+    points = front.points(rig, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say)
+    front.draw(rig, points, file)
+    publish(asked.json, {"points": [point._asdict() for point in points]}, lambda: None)
+    asked.say(str(file))
+    return 0
+
+
+def _rig(rig_file: pathlib.Path, asked: Asked, picture: pathlib.Path | None = None) -> RigSettings:
+    check_outputs({"--json": asked.json, "--front": picture}, [rig_file])
+    return simulated_rig(rig_file)
+
+
+def _of(rig: RigSettings, asked: Asked) -> dict[str, Any]:
+    """What rows are of."""
+    assert rig.simulation is not None  # `simulated_rig` refuses a rig without it
+    limits = {"ms": rig.design.ms_max, "command_noise_mm_s": rig.design.command_noise_max_mm_s}
+    return {
+        "rig": rig.rig, "inputs": gain_file.inputs(rig), "limits": limits,
+        "simulation": rig.simulation.model_dump(mode="json"),
+        "starts": tuned_laws.STARTS, "designs": asked.designs or list(tuned_laws.EVALUATIONS.values()),
+    }  # fmt: skip

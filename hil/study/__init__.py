@@ -1,1 +1,0 @@
-"""The frame of the studies: planned runs, their pieces in parallel processes, tables and pictures."""
