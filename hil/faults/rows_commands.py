@@ -38,6 +38,8 @@ _TAKES_BACK = in_controller.commanded(Verb.HOLD, Verb.TENSION, after_s=1.0)
 _WITH = {"enabling_refused": _TAKES_BACK, "torque_late": _TAKES_BACK}
 """Commands that a fault needs in a mode, beside arming."""
 _FREE = "torque_lost_free"
+_FROZEN = "drive_frozen"
+"""Its statusword ages until the tension shows that it does, in the time of `DRIVE_MS`."""
 
 
 def _and_stops(defect: Injector) -> Injector:
@@ -65,7 +67,7 @@ _FAULTS: tuple[tuple[str, str, Injector, Expected, str], ...] = (
     ("rpdo_frozen", "the drive takes the content of one command for that of every one", in_device.rpdo_frozen(),
      _AT_WORST, ""),
     ("rpdo_late", "the drive acts on every command 100 ms late", in_device.rpdo_late(100), _AT_WORST, ""),
-    ("drive_frozen", "the drive's samples go on with the content of one of them", on_bus.frozen(on_bus.drive),
+    (_FROZEN, "the drive's samples go on with the content of one of them", on_bus.frozen(on_bus.drive),
      _AT_WORST, "its state is not known then, its motion shows in the tension alone"),
     ("controlword_slow", "the drive reads its controlword every 16 ms", in_device.controlword_every(16), RIDE, ""),
     ("controlword_slow_stop", "the same, and the cell's samples stop", _and_stops(in_device.controlword_every(16)),
@@ -103,7 +105,7 @@ def _rows() -> Iterator[InjectedFault]:
             id_, what, inject if commands is None else in_device.both(inject, commands), expected, seconds=1.5,
             after_s=AFTER_S, held_mm=math.inf if id_ in (_FREE, "torque_late") else HELD_MM, latency_ms=DRIVE_MS,
             around=Around(change=(_SOON,), course=commands if id_ == "torque_late" else None),
-            against_cut=id_ == _FREE, why=why,
+            against_cut=id_ == _FREE, why=why, shown_late_ms=DRIVE_MS if id_ == _FROZEN else 0.0,
         )  # fmt: skip
         for phase in PHASES:
             yield InjectedFault(

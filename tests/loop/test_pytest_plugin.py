@@ -228,5 +228,5 @@ def test_a_run_without_a_rig_loads_none(pytester: pytest.Pytester) -> None:
     pytester.runpytest_subprocess("-q", "-p", "no:cacheprovider", "--strict-markers").assert_outcomes(passed=1)
     loaded = set(json.loads(pathlib.Path(pytester.path / "loaded.json").read_text()))
     assert {name for name in loaded if name.split(".")[0] in ("hil", "rigctl")} == {
-        "hil", "hil.testing", "hil.testing.plugin",
+        "hil", "hil.testing", "hil.testing.plugin", "rigctl",
     }  # fmt: skip
