@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FaultPlace, Injector, Stand, Step, parts_of
 from rigctl.control.modes import Setting, Verb
 
 
@@ -24,7 +24,7 @@ def in_turn(*parts: tuple[float, Injector]) -> Injector:
         step(0.0)
         return step
 
-    return inject
+    return Injector(FaultPlace.SEVERAL, parts_of(part for _, part in parts), inject)
 
 
 def gives(verb: Verb | Setting, *values: float) -> Injector:
@@ -33,4 +33,4 @@ def gives(verb: Verb | Setting, *values: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.lockstep.give(verb, *values)
 
-    return inject
+    return Injector(FaultPlace.SEVERAL, (), inject)

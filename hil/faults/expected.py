@@ -7,10 +7,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field
 from enum import StrEnum
 
-from hil.faults.stand import Injector
+from hil.faults.stand import FaultPlace, Injector, Needs
 from hil.plant.inputs import Track
 from rigctl.config.settings_base import Settings
 from rigctl.control.modes import Mode
+from rigctl.diagnosis.part import Part
 
 
 class Reaction(StrEnum):
@@ -105,6 +106,7 @@ class InjectedFault:
     inject: Injector
     expected: Expected
     _: KW_ONLY
+    part: tuple[Part, ...] = ()  # any of which may be named for it; (): its injector's
     seconds: float = 1.0
     after_s: float = 0.0
     shown_late_ms: float = 0.0
@@ -120,10 +122,19 @@ class InjectedFault:
     around: Around = field(default_factory=Around)
     why: str = ""
 
+    def __post_init__(self) -> None:
+        if not self.part:
+            object.__setattr__(self, "part", self.inject.part)
+
     @property
-    def place(self) -> str:
-        """Where the fault is, which its injector's module says: bus, device, plant or controller."""
-        return self.inject.__module__.rpartition("_")[2]
+    def place(self) -> FaultPlace:
+        """Where the fault is."""
+        return self.inject.place
+
+    @property
+    def needs(self) -> Needs:
+        """What a running rig must have so that the fault can be put into it."""
+        return self.inject.needs
 
     @property
     def modes(self) -> tuple[Mode, ...]:

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from functools import partial
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Verb
 from rigctl.control.safety import Action, Trip
+from rigctl.diagnosis.part import Part
+
+_of = partial(Injector, FaultPlace.CONTROLLER, needs=Needs.LOOP)
+_COMPUTER = (Part.COMPUTER,)
 
 
 def hangs(ticks: int) -> Injector:
@@ -17,7 +22,7 @@ def hangs(ticks: int) -> Injector:
     def inject(stand: Stand) -> None:
         stand.lockstep.clock.skip = ticks
 
-    return inject
+    return _of(_COMPUTER, inject)
 
 
 def overruns(ticks: int, every_s: float) -> Injector:
@@ -33,7 +38,7 @@ def overruns(ticks: int, every_s: float) -> Injector:
 
         return step
 
-    return inject
+    return _of(_COMPUTER, inject)
 
 
 SHORTEST_S, LONGEST_S = 0.0002, 0.015  # pause of a busy computer, drawn evenly on a logarithmic scale
@@ -56,7 +61,7 @@ def busy(gap_s: float) -> Injector:
 
         return step
 
-    return inject
+    return _of(_COMPUTER, inject)
 
 
 def _give(stand: Stand, verbs: Iterable[Verb]) -> None:
@@ -72,7 +77,7 @@ def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
         stand.lockstep.give(first)
         return stand.ends_after(after_s, lambda: _give(stand, others))
 
-    return inject
+    return _of((), inject)
 
 
 def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
@@ -82,4 +87,4 @@ def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
         stand.lockstep.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.lockstep.clock.now())
         return stand.ends_after(after_s, lambda: _give(stand, verbs))
 
-    return inject
+    return _of((Part.E_STOP,), inject)

@@ -5,13 +5,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections import deque
+from functools import partial
 
-from hil.faults.stand import FindNode, Injector, NoDeviceError, Stand, Step
+from hil.faults.stand import FaultPlace, FindNode, Injector, NoDeviceError, Stand, Step, parts_of
 from hil.nodes.cylinder_drive import CylinderDrive, ServiceTool
 from hil.nodes.node import GENERIC_ERROR, Node
 from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus, DriveState
+from rigctl.diagnosis.part import Part
 
 Address = tuple[int, int]
 CELL = (objects.AI_PROCESS_VALUE, 1)
@@ -23,6 +25,15 @@ _UNITS = {CELL: objects.N_PER_CELL_UNIT, LONG: 0.01, LATERAL: 0.01, STROKE: 1e-3
 """N, deg, mm, mm/s in one unit of the object."""
 _INT16, _INT32 = (-(1 << 15) + 1, (1 << 15) - 1), (-(1 << 31) + 1, (1 << 31) - 1)
 _RANGES = {CELL: _INT32, STROKE: _INT32, LONG: _INT16, LATERAL: _INT16, SPEED: _INT16}
+_of = partial(Injector, FaultPlace.DEVICE)
+_CELL = (Part.CELL, Part.AMPLIFIER)
+"""Of a reading that is wrong: cell, cable and amplifier have one output."""
+_DRIVE, _ENCODER, _BRAKE = (Part.DRIVE,), (Part.ENCODER,), (Part.BRAKE,)
+_IO_NODE, _E_STOP = (Part.IO_NODE,), (Part.E_STOP,)
+_PARTS = {
+    **dict.fromkeys((CELL, CELL_STATUS), _CELL), **dict.fromkeys((LONG, LATERAL), (Part.INCLINOMETER,)), STATUS: _DRIVE,
+    **dict.fromkeys((STROKE, SPEED), _ENCODER),
+}  # fmt: skip
 NOT_A_NUMBER = -(1 << 31)
 SPIKE_EVERY_MS = 200
 FREE_KG = 50.0
@@ -68,7 +79,7 @@ def reads(
         _device(stand, address).distort(*address, distorted)
         return step
 
-    return inject
+    return _of(_PARTS[address], inject)
 
 
 def stuck(address: Address) -> Injector:
@@ -84,12 +95,12 @@ def stuck(address: Address) -> Injector:
 
         _device(stand, address).distort(*address, held)
 
-    return inject
+    return _of((Part.AMPLIFIER,) if address == CELL else _PARTS[address], inject)  # a cell has noise
 
 
 def says(address: Address, raw: int) -> Injector:
     """An object that always reads as this number."""
-    return lambda stand: _device(stand, address).distort(*address, lambda _: raw)
+    return _of(_PARTS[address], lambda stand: _device(stand, address).distort(*address, lambda _: raw))
 
 
 def overloaded() -> Injector:
@@ -100,7 +111,7 @@ def overloaded() -> Injector:
         stand.cell.distort(*CELL, lambda _: most)
         stand.cell.distort(*CELL_STATUS, lambda _: int(AiStatus.POSITIVE_OVERLOAD))
 
-    return inject
+    return _of(_CELL, inject)
 
 
 def both(*parts: Injector) -> Injector:
@@ -115,12 +126,12 @@ def both(*parts: Injector) -> Injector:
 
         return step_all
 
-    return inject
+    return _of(parts_of(parts), inject)
 
 
 def reboots(find: FindNode) -> Injector:
     """A device that reboots and, as after power-on, waits to be configured."""
-    return lambda stand: find(stand).reset_node()
+    return _of(find.part, lambda stand: find(stand).reset_node())
 
 
 def power_dip(seconds: float) -> Injector:
@@ -137,12 +148,12 @@ def power_dip(seconds: float) -> Injector:
 
         return stand.ends_after(seconds, back)
 
-    return inject
+    return _of((Part.BUS,), inject)
 
 
 def trips(code: int) -> Injector:
     """The drive reports a fault of its own."""
-    return lambda stand: stand.drive.trip(code)
+    return _of(_DRIVE, lambda stand: stand.drive.trip(code))
 
 
 def e_stop(seconds: float = math.inf) -> Injector:
@@ -152,7 +163,7 @@ def e_stop(seconds: float = math.inf) -> Injector:
         stand.drive.press_e_stop(True)
         return stand.ends_after(seconds, lambda: stand.drive.press_e_stop(False))
 
-    return inject
+    return _of(_E_STOP, inject)
 
 
 def io_contact_opens(seconds: float = math.inf) -> Injector:
@@ -162,7 +173,7 @@ def io_contact_opens(seconds: float = math.inf) -> Injector:
         stand.io.press_e_stop(True)
         return stand.ends_after(seconds, lambda: stand.io.press_e_stop(False))
 
-    return inject
+    return _of(_E_STOP, inject)
 
 
 def second_force_off(newtons: float) -> Injector:
@@ -171,7 +182,7 @@ def second_force_off(newtons: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.second.fault_n = newtons
 
-    return inject
+    return _of((Part.SECOND_FORCE, Part.CELL), inject)
 
 
 def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
@@ -181,12 +192,12 @@ def setting_lost(index: int, sub: int, value: int = 0) -> Injector:
         entry = stand.drive.device.sdo[index]
         (entry[sub] if sub else entry).raw = value
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def sync_unheard(find: FindNode) -> Injector:
     """A device takes no frame as SYNC any more; its object 0x1005 reads as before."""
-    return lambda stand: find(stand).listen_to_sync(None)
+    return _of(find.part, lambda stand: find(stand).listen_to_sync(None))
 
 
 def rpdo_ignored() -> Injector:
@@ -195,7 +206,7 @@ def rpdo_ignored() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.rpdo_defect = lambda _: None
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def rpdo_frozen() -> Injector:
@@ -211,7 +222,7 @@ def rpdo_frozen() -> Injector:
 
         stand.drive.rpdo_defect = repeated
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def rpdo_late(ticks: int) -> Injector:
@@ -226,7 +237,7 @@ def rpdo_late(ticks: int) -> Injector:
 
         stand.drive.rpdo_defect = delayed
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def controlword_every(ticks: int) -> Injector:
@@ -242,7 +253,7 @@ def controlword_every(ticks: int) -> Injector:
 
         stand.drive.rpdo_defect = sampled
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def state_persists(state: DriveState) -> Injector:
@@ -251,13 +262,13 @@ def state_persists(state: DriveState) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.control.persists = state
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def state_reported(state: DriveState) -> Injector:
     """The drive reports this state whatever state it is in, and otherwise does as before."""
     mask = objects.DRIVE_STATE_MASK
-    return lambda stand: stand.drive.distort(*STATUS, lambda raw: raw & ~mask | state & mask)
+    return _of(_DRIVE, lambda stand: stand.drive.distort(*STATUS, lambda raw: raw & ~mask | state & mask))
 
 
 def enabling_refused() -> Injector:
@@ -266,7 +277,7 @@ def enabling_refused() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.control.refuses = True
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def torque_lost(*, free: bool, after_s: float = 0.0) -> Injector:
@@ -299,7 +310,7 @@ def torque_lost(*, free: bool, after_s: float = 0.0) -> Injector:
 
         stand.drive.torque_defect = turned
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def boots_slowly(find: FindNode, seconds: float) -> Injector:
@@ -310,7 +321,7 @@ def boots_slowly(find: FindNode, seconds: float) -> Injector:
         node.behave(DevicesSettings(boot_s=seconds))
         node.reset_node()
 
-    return inject
+    return _of(find.part, inject)
 
 
 def start_refused(find: FindNode) -> Injector:
@@ -321,7 +332,7 @@ def start_refused(find: FindNode) -> Injector:
         node.refuses_start = True
         node.reset_communication()
 
-    return inject
+    return _of(find.part, inject)
 
 
 def back_in_error(find: FindNode, code: int) -> Injector:
@@ -335,7 +346,7 @@ def back_in_error(find: FindNode, code: int) -> Injector:
         else:
             node.raise_error(code, GENERIC_ERROR)
 
-    return inject
+    return _of(find.part, inject)
 
 
 def hangs() -> Injector:
@@ -344,7 +355,7 @@ def hangs() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.hung = True
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def lies_off() -> Injector:
@@ -360,12 +371,12 @@ def lies_off() -> Injector:
         stand.drive.rpdo_defect = taken
         stand.drive.distort(*STATUS, lambda word: word & ~objects.DRIVE_STATE_MASK | _DISABLED if off[0] else word)
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def io_without_power() -> Injector:
     """The I/O node loses its own power: it is silent, and its relays open."""
-    return lambda stand: stand.io.switch_off()
+    return _of(_IO_NODE, lambda stand: stand.io.switch_off())
 
 
 def enable_welded() -> Injector:
@@ -374,7 +385,7 @@ def enable_welded() -> Injector:
     def inject(stand: Stand) -> None:
         stand.io.welded = True
 
-    return inject
+    return _of(_IO_NODE, inject)
 
 
 def encoder_restarts(at_mm: float = 0.0) -> Injector:
@@ -384,22 +395,24 @@ def encoder_restarts(at_mm: float = 0.0) -> Injector:
         now_mm = stand.plant.truth.stroke_mm
         stand.drive.distort(*STROKE, lambda raw: raw - round((now_mm - at_mm) / _UNITS[STROKE]))
 
-    return inject
+    return _of(_ENCODER, inject)
 
 
 def tool_takes_over(speed_mm_s: float, *, deaf: bool = False, shows_remote: bool = False) -> Injector:
     """A service tool at the drive's own port enables and moves the drive; see `ServiceTool`."""
-    return lambda stand: stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
+    return _of(
+        (Part.MASTER, Part.DRIVE), lambda stand: stand.drive.take_over(ServiceTool(speed_mm_s, deaf, shows_remote))
+    )
 
 
 def status_bit(bit: int, on: bool) -> Injector:
     """A bit of the drive's statusword is stuck."""
-    return lambda stand: stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit)
+    return _of(_DRIVE, lambda stand: stand.drive.distort(*STATUS, lambda raw: raw | bit if on else raw & ~bit))
 
 
 def no_heartbeat(find: FindNode) -> Injector:
     """A device stops sending its heartbeat; its samples go on."""
-    return lambda stand: find(stand)._set_heartbeat(0)
+    return _of(find.part, lambda stand: find(stand)._set_heartbeat(0))
 
 
 def ignores_commands() -> Injector:
@@ -408,7 +421,7 @@ def ignores_commands() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.defect = lambda _, braked: (0.0, braked)
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def runs_away(speed_mm_s: float) -> Injector:
@@ -417,7 +430,7 @@ def runs_away(speed_mm_s: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.defect = lambda _, braked: (0.0 if stand.drive.stopping else speed_mm_s, braked)
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def creeps(speed_mm_s: float) -> Injector:
@@ -437,7 +450,7 @@ def creeps(speed_mm_s: float) -> Injector:
 
         drive.defect = defect
 
-    return inject
+    return _of(_DRIVE, inject)
 
 
 def brake_slips(speed_mm_s: float) -> Injector:
@@ -446,7 +459,7 @@ def brake_slips(speed_mm_s: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.brake.slip_mm_s = speed_mm_s
 
-    return inject
+    return _of(_BRAKE, inject)
 
 
 def brake_closes_late(milliseconds: int) -> Injector:
@@ -455,7 +468,7 @@ def brake_closes_late(milliseconds: int) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.brake.late_ns = milliseconds * 1_000_000
 
-    return inject
+    return _of(_BRAKE, inject)
 
 
 def brake_stays_closed() -> Injector:
@@ -464,7 +477,7 @@ def brake_stays_closed() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.brake.stuck_closed = True
 
-    return inject
+    return _of(_BRAKE, inject)
 
 
 def brake_drags(newtons: float) -> Injector:
@@ -473,7 +486,7 @@ def brake_drags(newtons: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.brake.drag_n = newtons
 
-    return inject
+    return _of(_BRAKE, inject)
 
 
 def brake_stays_open() -> Injector:
@@ -482,7 +495,7 @@ def brake_stays_open() -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.brake.stuck_open = True
 
-    return inject
+    return _of(_BRAKE, inject)
 
 
 def _device(stand: Stand, address: Address) -> Node:

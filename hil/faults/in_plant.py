@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
 from hil.plant import Plant
 from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import leg
 from hil.scenario import disturbances, kinds
+from rigctl.diagnosis.part import Part
 
+_of = partial(Injector, FaultPlace.PLANT)
+_ROPE, _PAYLOAD = (Part.ROPE,), (Part.PAYLOAD,)
 GONE_MM = 1000.0
 ROPE_N_MM = 1000.0
 """Stiffness of the rope alone, which is left where a spring with a safety chain has broken."""
@@ -27,7 +31,7 @@ def rope_breaks() -> Injector:
     def inject(stand: Stand) -> None:
         stand.plant.parameters["free_length"] += GONE_MM
 
-    return inject
+    return _of(_ROPE, inject)
 
 
 def rope_slips(speed_mm_s: float, length_mm: float) -> Injector:
@@ -41,7 +45,7 @@ def rope_slips(speed_mm_s: float, length_mm: float) -> Injector:
 
         return step
 
-    return inject
+    return _of(_ROPE, inject)
 
 
 def spring_breaks() -> Injector:
@@ -52,7 +56,7 @@ def spring_breaks() -> Injector:
         p["free_length"] += truth.tension_n / p["stiffness"] + CHAIN_MM
         p["stiffness"] = ROPE_N_MM
 
-    return inject
+    return _of(_ROPE, inject)
 
 
 def spring_stiffens(factor: float) -> Injector:
@@ -64,7 +68,7 @@ def spring_stiffens(factor: float) -> Injector:
         p["free_length"] += stretch_mm * (1.0 - 1.0 / factor)
         p["stiffness"] *= factor
 
-    return inject
+    return _of(_ROPE, inject)
 
 
 def backlash(factor: float) -> Injector:
@@ -73,7 +77,7 @@ def backlash(factor: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.plant.parameters["backlash"] *= factor
 
-    return inject
+    return _of((Part.DRIVE,), inject)
 
 
 def payload_moves(up_mm: float, speed_mm_s: float) -> Injector:
@@ -98,7 +102,7 @@ def let_go_of(plant: Plant) -> None:
 
 def nothing() -> Injector:
     """No injected fault: the row's surroundings are the fault."""
-    return lambda _: None
+    return _of((), lambda _: None, Needs.START)
 
 
 def heaving() -> Mapping[int, Track]:
@@ -120,4 +124,4 @@ def rising(up_mm: float, speed_mm_s: float) -> Callable[[], Mapping[int, Track]]
 
 
 def _moved(tracks: Mapping[int, Track]) -> Injector:
-    return lambda stand: stand.plant.start_motion(tracks, stand.plant.t_ns)
+    return _of(_PAYLOAD, lambda stand: stand.plant.start_motion(tracks, stand.plant.t_ns))

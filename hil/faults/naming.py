@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Run
-from hil.faults.parts import parts_of
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
 from rigctl.diagnosis.diagnose import Culprit, diagnose
@@ -101,8 +100,7 @@ def culprit(row: RecordedRow, settings: RigSettings, *, last: bool = False) -> C
 
 def named(fault: InjectedFault, mode: Mode, found: Culprit) -> NamedRow:
     """Judge what was named for a row."""
-    states = parts_of(fault.id)
-    return NamedRow(fault.id, mode.name, states, found.parts, naming(found, states), found.text)
+    return NamedRow(fault.id, mode.name, fault.part, found.parts, naming(found, fault.part), found.text)
 
 
 def naming(found: Culprit, states: Sequence[Part]) -> Naming:

@@ -8,29 +8,31 @@ import math
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
-from operator import attrgetter
+from functools import partial
 
 import can
 
-from hil.faults.stand import FindNode, Injector, Stand, Step
+from hil.faults.stand import FaultPlace, FindNode, Injector, Needs, Stand, Step
 from hil.hub import Port
 from hil.wire import ERROR_FLAG, FRAME
 from rigctl.devices import objects
 from rigctl.devices.process_data import COMMAND, wanted
+from rigctl.diagnosis.part import Part
 
 FULL_LOAD_FRAMES = 7
 """Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""
 _LOWEST, _HIGHEST = 0x7F0, 0x001
 NMT_STOP, NMT_PRE_OPERATIONAL, NMT_RESET = 0x02, 0x80, 0x81
 _BUS_OFF, _CONTROLLER, _PASSIVE = 0x040, 0x004, 0x30  # classes and byte 1 of linux/can/error.h
+_of = partial(Injector, FaultPlace.BUS, needs=Needs.OWN_WIRE)
+_BUS, _MASTER, _COMPUTER = (Part.BUS,), (Part.MASTER,), (Part.COMPUTER,)
 
-
-cell: FindNode = attrgetter("cell")
-slope: FindNode = attrgetter("slope")
-drive: FindNode = attrgetter("drive")
-io: FindNode = attrgetter("io")
-rail: FindNode = attrgetter("rail")
-second: FindNode = attrgetter("second")
+cell = FindNode("cell", (Part.AMPLIFIER,))
+slope = FindNode("slope", (Part.INCLINOMETER,))
+drive = FindNode("drive", (Part.DRIVE,))
+io = FindNode("io", (Part.IO_NODE,))
+rail = FindNode("rail", (Part.RAIL_ENCODER,))
+second = FindNode("second", (Part.SECOND_FORCE,))
 
 
 def can_id(frame: bytes) -> int:
@@ -46,7 +48,7 @@ def silent(find: FindNode, base: int = objects.TPDO1_BASE, seconds: float = math
         heard = stand.intercept(lambda _, frame: () if can_id(frame) == gone else (frame,))
         return stand.ends_after(seconds, heard)
 
-    return inject
+    return _of(find.part, inject)
 
 
 def lost(share: float) -> Injector:
@@ -56,7 +58,7 @@ def lost(share: float) -> Injector:
         draw = stand.random.random
         stand.intercept(lambda _, frame: () if draw() < share else (frame,))
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def burst(seconds: float) -> Injector:
@@ -65,7 +67,7 @@ def burst(seconds: float) -> Injector:
     def inject(stand: Stand) -> Step:
         return stand.ends_after(seconds, stand.intercept(lambda _, __: ()))
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def stalled(seconds: float) -> Injector:
@@ -89,7 +91,7 @@ def stalled(seconds: float) -> Injector:
 
         return stand.ends_after(seconds, deliver)
 
-    return inject
+    return _of(_COMPUTER, inject)
 
 
 def twice() -> Injector:
@@ -98,7 +100,7 @@ def twice() -> Injector:
     def inject(stand: Stand) -> None:
         stand.intercept(lambda _, frame: (frame, frame))
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def frozen(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
@@ -117,7 +119,7 @@ def frozen(find: FindNode, base: int = objects.TPDO1_BASE) -> Injector:
 
         stand.intercept(tap)
 
-    return inject
+    return _of((*find.part, Part.BUS), inject)
 
 
 def sync_lost() -> Injector:
@@ -126,7 +128,7 @@ def sync_lost() -> Injector:
     def inject(stand: Stand) -> None:
         stand.intercept(lambda _, frame: () if can_id(frame) == objects.SYNC_COB else (frame,))
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def sync_twice() -> Injector:
@@ -135,12 +137,12 @@ def sync_twice() -> Injector:
     def inject(stand: Stand) -> None:
         stand.intercept(lambda _, frame: (frame, frame) if can_id(frame) == objects.SYNC_COB else (frame,))
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def sync_foreign(every: int = 1) -> Injector:
     """Another node sends SYNC too, in one of ``every`` ticks."""
-    return _sent(lambda _: [FRAME.pack(objects.SYNC_COB, 0, b"")], every)
+    return _sent(_MASTER, lambda _: [FRAME.pack(objects.SYNC_COB, 0, b"")], every)
 
 
 def late(ticks: int) -> Injector:
@@ -165,7 +167,7 @@ def late(ticks: int) -> Injector:
         stand.intercept(tap)
         return step
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def reordered() -> Injector:
@@ -184,7 +186,7 @@ def reordered() -> Injector:
 
         stand.intercept(tap)
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def cut(find: FindNode, share: float) -> Injector:
@@ -201,7 +203,7 @@ def cut(find: FindNode, share: float) -> Injector:
 
         stand.intercept(tap)
 
-    return inject
+    return _of(find.part, inject)
 
 
 def foreign(count: int) -> Injector:
@@ -219,12 +221,12 @@ def foreign(count: int) -> Injector:
 
         return step
 
-    return inject
+    return _of(_MASTER, inject)
 
 
 def babble() -> Injector:
     """A node sends all it can with the lowest priority: it waits for all others."""
-    return _sent(lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
+    return _sent(_BUS, lambda stand: [FRAME.pack(_LOWEST, 8, stand.random.randbytes(8))] * FULL_LOAD_FRAMES)
 
 
 def babble_loud() -> Injector:
@@ -240,7 +242,7 @@ def babble_loud() -> Injector:
 
         return step
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def impostor() -> Injector:
@@ -250,7 +252,7 @@ def impostor() -> Injector:
         value = round(stand.random.uniform(0.0, 400.0) / objects.N_PER_CELL_UNIT)
         return [FRAME.pack(objects.TPDO1_BASE + stand.cell.id, 5, struct.pack("<iB", value, 0))]
 
-    return _sent(frames)
+    return _sent(_MASTER, frames)
 
 
 def rival() -> Injector:
@@ -262,7 +264,7 @@ def rival() -> Injector:
         data = layout.codec.pack(*(values.get(index, 0) for index, _ in layout.objects))
         return [FRAME.pack(layout.cob_base + stand.settings.cylinder.node, layout.size, data)]
 
-    return _sent(frames)
+    return _sent(_MASTER, frames)
 
 
 def sdo_write(index: int, sub: int, size: int, value: int = 0, find: FindNode = drive) -> Injector:
@@ -273,25 +275,25 @@ def sdo_write(index: int, sub: int, size: int, value: int = 0, find: FindNode = 
         data = struct.pack("<BHBI", specifier, index, sub, value)
         stand.rig.inject(FRAME.pack(objects.SDO_RX_BASE + find(stand).id, 8, data))
 
-    return inject
+    return _of(_MASTER, inject)
 
 
 def sdo_read() -> Injector:
     """Another master reads the drive's temperature ten times a second."""
     data = struct.pack("<BHB4x", 0x40, objects.DRIVE_TEMPERATURE, 0)
-    return _sent(lambda stand: [FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data)], every=100)
+    return _sent(_MASTER, lambda stand: [FRAME.pack(objects.SDO_RX_BASE + stand.drive.id, 8, data)], every=100)
 
 
 def sdo_answers() -> Injector:
     """The drive answers requests that the rig has not sent; the requests themselves are not received."""
     data = struct.pack("<BHB4x", 0x60, objects.QUICK_STOP_OPTION, 0)
-    return _sent(lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
+    return _sent(_MASTER, lambda stand: [FRAME.pack(objects.SDO_TX_BASE + stand.drive.id, 8, data)])
 
 
 def error_frames() -> Injector:
     """The controller reports itself error-passive, ten times a second; every frame still arrives."""
     frame = FRAME.pack(ERROR_FLAG | _CONTROLLER, 8, bytes([0, _PASSIVE, 0, 0, 0, 0, 0, 0]))
-    return _sent(lambda _: [frame], every=100)
+    return _sent(_BUS, lambda _: [frame], every=100)
 
 
 def bus_off() -> Injector:
@@ -306,7 +308,7 @@ def bus_off() -> Injector:
         stand.rig.inject(FRAME.pack(ERROR_FLAG | _BUS_OFF, 8, bytes(8)))
         stand.intercept(tap)
 
-    return inject
+    return _of(_BUS, inject)
 
 
 def nmt(command: int, find: FindNode | None = None) -> Injector:
@@ -316,7 +318,7 @@ def nmt(command: int, find: FindNode | None = None) -> Injector:
         node = 0 if find is None else find(stand).id
         stand.rig.inject(FRAME.pack(objects.NMT_COB, 2, bytes([command, node])))
 
-    return inject
+    return _of(_MASTER, inject)
 
 
 def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
@@ -327,10 +329,10 @@ def emergency(find: FindNode, code: int, register: int = 1) -> Injector:
         node.claims_error = True
         stand.rig.inject(FRAME.pack(objects.EMCY_BASE + node.id, 8, data))
 
-    return inject
+    return _of(find.part, inject)
 
 
-def _sent(frames: Callable[[Stand], list[bytes]], every: int = 1) -> Injector:
+def _sent(part: tuple[Part, ...], frames: Callable[[Stand], list[bytes]], every: int = 1) -> Injector:
     """A node sends these frames in the first tick and in one of ``every``."""
 
     def inject(stand: Stand) -> Step:
@@ -342,7 +344,7 @@ def _sent(frames: Callable[[Stand], list[bytes]], every: int = 1) -> Injector:
 
         return step
 
-    return inject
+    return _of(part, inject)
 
 
 def _from_controller(stand: Stand, frame: bytes) -> bool:

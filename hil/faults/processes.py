@@ -24,6 +24,7 @@ from hil.faults.live_rows_rig import CONTROL, GATEWAY, RECORDER, SUPERVISOR, VIC
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode
+from rigctl.diagnosis.part import Part
 
 WATCHED_S = 1.5  # longer than the 1 s after which a process without progress is reported
 BACK_S = 30.0
@@ -54,6 +55,7 @@ class ProcessFault:
     """Time until the stroke stands, where it has to."""
     restart: bool = False
     """Whether the daemon has to be started again by hand."""
+    part: tuple[Part, ...] = (Part.PROCESS,)
 
 
 @dataclass(frozen=True)
@@ -191,9 +193,13 @@ CATALOGUE = (
     ProcessFault("gateway_stopped", "the gateway hangs", kills(GATEWAY, signal.SIGSTOP), RIDE),
     ProcessFault("recorder_stopped", "the recorder hangs", kills(RECORDER, signal.SIGSTOP), RIDE),
     ProcessFault("all_but_control_stopped", "every process but the loop's hangs", all_stopped, RIDE),
-    ProcessFault("disk_full", "no process can write to a file", disk_full, RIDE),
-    ProcessFault("clock_forward", "the wall clock jumps forward by a day", clock_stepped(86_400.0), RIDE),
-    ProcessFault("clock_back", "the wall clock jumps back by an hour", clock_stepped(-3_600.0), RIDE),
+    ProcessFault("disk_full", "no process can write to a file", disk_full, RIDE, part=(Part.COMPUTER,)),
+    ProcessFault(
+        "clock_forward", "the wall clock jumps forward by a day", clock_stepped(86_400.0), RIDE, part=(Part.COMPUTER,)
+    ),
+    ProcessFault(
+        "clock_back", "the wall clock jumps back by an hour", clock_stepped(-3_600.0), RIDE, part=(Part.COMPUTER,)
+    ),
     ProcessFault(
         "config_replaced", "another rig's figures in the rig file", config_replaced(control_killed=False), RIDE
     ),

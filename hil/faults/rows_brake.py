@@ -13,6 +13,7 @@ from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
 from rigctl.control.modes import Mode, Verb
 from rigctl.control.situation import Witness
+from rigctl.diagnosis.part import Part
 
 _LATER_S = 3.0
 """After the parking and its first second."""
@@ -67,8 +68,9 @@ BRAKE: tuple[InjectedFault, ...] = (
         in_turn((_LATER_S, both(_ENCODER_STUCK, brake_slips(0.3))),
                 (_LATER_S + 5.0, gives(Verb.CARRY, 60.0, float(Witness.CELL))),
                 (_LATER_S + 8.0, in_device.runs_away(-3.0))),
-        _MOVES, seconds=_LATER_S + 9.5, band_n=30.0, latency_ms=math.inf, around=Around(change=(AT_ONCE,)),
-        ends_elsewhere=True, why="the tension, which does not follow the commanded stroke, stops it by quick stop",
+        _MOVES, part=(Part.ENCODER,), seconds=_LATER_S + 9.5, band_n=30.0, latency_ms=math.inf,
+        around=Around(change=(AT_ONCE,)), ends_elsewhere=True,
+        why="the tension, which does not follow the commanded stroke, stops it by quick stop",
     ),
     _later("brake_sticks_take_back", "the brake does not open any more; TENSION", in_device.brake_stays_closed(), 3.0,
            (0.1, Verb.TENSION), expected={Mode.HOLD: Reaction.DRIVE_OFF}, band_n=9.0,

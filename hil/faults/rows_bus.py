@@ -7,6 +7,7 @@ from functools import partial
 from hil.faults import in_plant, on_bus
 from hil.faults.bus_devices import CYLINDER_DRIVE
 from hil.faults.expected import EITHER, HOLD, PASSING, RIDE, Around, InjectedFault
+from rigctl.diagnosis.part import Part
 
 _stops_the_rig = partial(InjectedFault, expected=HOLD, within_ms=20)
 """Seen within a tick or two."""
@@ -50,6 +51,7 @@ BUS = (
         "length_wrong_1pct",
         "1 % of the cell's samples have a byte too few",
         on_bus.cut(on_bus.cell, 0.01),
+        part=(Part.BUS,),
         seconds=2.0,
         counter="frames_refused",
     ),

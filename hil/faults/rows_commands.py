@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 from hil.faults import in_controller, in_device, on_bus
 from hil.faults.arming_phases import BRAKE_TEST, PHASES
@@ -13,6 +14,7 @@ from hil.faults.stand import Injector
 from rigctl.control.modes import Mode, Verb
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState, EmcyCode
+from rigctl.diagnosis.part import Part
 
 _SOON = ("hold.park_s", 0.5)
 """HOLD needs the drive's obedience when the brake takes the load: soon, so that a row is short."""
@@ -43,8 +45,8 @@ _FROZEN = "drive_frozen"
 
 
 def _and_stops(defect: Injector) -> Injector:
-    """A defect that only a stop shows, and the stop."""
-    return in_device.both(defect, on_bus.silent(on_bus.cell))
+    """A defect that only a stop shows, and the stop; its cause is named first."""
+    return replace(in_device.both(defect, on_bus.silent(on_bus.cell)), part=(Part.AMPLIFIER, Part.DRIVE))
 
 
 _FAULTS: tuple[tuple[str, str, Injector, Expected, str], ...] = (

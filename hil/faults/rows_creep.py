@@ -126,7 +126,7 @@ UNSEEN: tuple[InjectedFault, ...] = (
         (("", 0.3), ("_stiff", -0.1)),
         "cell_silent_encoder_drifts",
         "the cell is silent, then position and speed drift by {:g} mm/s",
-        lambda speed: both(on_bus.silent(lambda stand: stand.cell), _drifts(speed)),
+        lambda speed: both(on_bus.silent(on_bus.cell), _drifts(speed)),
         _PARKS,
         "the same in FAULT, latched long before: a cell that is silent does not say that nothing moved",
         math.inf,

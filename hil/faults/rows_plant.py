@@ -7,10 +7,11 @@ from functools import partial
 from hil.faults import in_controller, in_plant
 from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, InjectedFault, Reaction
 from rigctl.control.modes import Mode, Verb
+from rigctl.diagnosis.part import Part
 
 _load_lost = partial(InjectedFault, band_n=350, carried=False)
 """The load is off the rope."""
-_stroke_end = partial(InjectedFault, band_n=60.0, latency_ms=220)
+_stroke_end = partial(InjectedFault, part=(Part.ROPE,), band_n=60.0, latency_ms=220)
 """200 ms at an end of the stroke, and a tick or two."""
 
 PLANT = (
@@ -24,6 +25,7 @@ PLANT = (
         in_plant.nothing(),
         {Mode.COMPENSATING: Reaction.HELD},
         seconds=2.5,
+        part=(Part.PAYLOAD,),
         around=Around((("simulation.rope.slack_mm", 67.0),), in_plant.rising(8.0, 5.0)),
         why="200 ms at the end are no sensor's fault",
     ),
@@ -99,6 +101,7 @@ CONTROLLER = (
         in_controller.commanded(Verb.DISARM, Verb.ARM),
         {Mode.HOLD: Reaction.RIDDEN},
         band_n=1,
+        part=(Part.E_STOP,),
         why="the drive has its power again after the brake has closed",
     ),
     InjectedFault(

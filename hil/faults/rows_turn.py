@@ -108,8 +108,9 @@ _STALE = on_bus.silent(on_bus.cell)
 def _afterwards(id_: str, what: str, *parts: tuple[float, Injector], expected: Expected = _HELD,
                 band_n: float = 9.0, held_mm: float = 1.0, why: str = "") -> InjectedFault:  # fmt: skip
     return InjectedFault(
-        id_, what, in_turn(*parts), expected, seconds=max(at_s for at_s, _ in parts) + 2.5, band_n=band_n,
-        held_mm=held_mm, latency_ms=math.inf, around=Around(change=(_LONG,)), ends_elsewhere=True, why=why,
+        id_, what, in_turn(*parts), expected, part=parts[-1][1].part, seconds=max(at_s for at_s, _ in parts) + 2.5,
+        band_n=band_n, held_mm=held_mm, latency_ms=math.inf, around=Around(change=(_LONG,)), ends_elsewhere=True,
+        why=why,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 import msgspec
 
+from hil.faults.stand import Needs
 from hil.faults.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.hub import Hub
 from hil.rig import SimulatedRig
@@ -200,7 +201,7 @@ class FaultServer:
             raise FaultRefusedError(f"{self._standing.id} is still injected: end it first (--end)")
         if why := hindrance(fault, served=True):
             raise FaultRefusedError(f"{fault.id}: {why}")
-        if fault.place == "bus" and not self._of_wire:
+        if fault.needs is Needs.OWN_WIRE and not self._of_wire:
             raise FaultRefusedError(f"{fault.id}: the wire is not the simulator's own, expected a bus rigsim")
         self._standing = StandingFault(self._rig, fault, now_ns, request.for_s)
         length = "until --end" if request.for_s is None else f"for {request.for_s:g} s"

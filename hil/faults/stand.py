@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from enum import Enum, StrEnum, auto
 from typing import Protocol, TypeVar
 
 from hil.hub import Hub, Port, Tap
@@ -20,6 +22,7 @@ from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.devices import objects
+from rigctl.diagnosis.part import Part
 
 WAKE_S = 0.2
 SETTLE_S = 0.6
@@ -40,9 +43,63 @@ _CLOSED = (Mode.COMPENSATING, Mode.FAULT)
 
 Step = Callable[[float], None]
 """Called before every tick with the seconds since the fault began."""
-Injector = Callable[["Stand"], "Step | None"]
-FindNode = Callable[["Stand"], Node]
-"""Finds one device of the rig."""
+
+
+class FaultPlace(StrEnum):
+    """Where a fault is."""
+
+    BUS = "bus"
+    DEVICE = "device"
+    PLANT = "plant"
+    CONTROLLER = "controller"
+    SEVERAL = "several"
+
+
+class Needs(Enum):
+    """What a rig must have, beside the device, so that a fault can be put into it while it runs."""
+
+    NOTHING = auto()
+    OWN_WIRE = auto()  # of the simulator
+    LOOP = auto()  # in lockstep
+    START = auto()  # the fault is a state of the rig from its start
+
+
+@dataclass(frozen=True)
+class Injector:
+    """Puts a fault into a rig: ``begin`` returns what goes on with it, if anything does."""
+
+    place: FaultPlace
+    part: tuple[Part, ...]
+    """Any of which may be named for the fault, several where signals cannot decide; a command has none."""
+    begin: Callable[[Stand], Step | None]
+    needs: Needs = Needs.NOTHING
+
+    def __call__(self, stand: Stand) -> Step | None:
+        """Begin."""
+        return self.begin(stand)
+
+
+def parts_of(injectors: Iterable[Injector]) -> tuple[Part, ...]:
+    """The parts of several faults."""
+    return tuple(dict.fromkeys(part for injector in injectors for part in injector.part))
+
+
+@dataclass(frozen=True)
+class FindNode:
+    """Finds one device of the rig."""
+
+    name: str
+    """Property of `Stand`."""
+    part: tuple[Part, ...]
+
+    def __call__(self, stand: Stand) -> Node:
+        """The device.
+
+        Raises:
+            NoDeviceError: the rig has none.
+        """
+        found: Node = getattr(stand, self.name)
+        return found
 
 
 class NoDeviceError(LookupError):

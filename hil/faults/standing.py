@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.faults.catalogue import BY_ID
 from hil.faults.expected import InjectedFault
-from hil.faults.stand import FaultyRig, NoDeviceError, Stand
+from hil.faults.stand import FaultyRig, Needs, NoDeviceError, Stand
 
 
 class FaultRefusedError(ValueError):
@@ -29,9 +29,9 @@ def found(name: str) -> InjectedFault:
 
 def hindrance(fault: InjectedFault, *, served: bool) -> str:
     """Why a fault cannot be put into a rig that runs already; empty if it can."""
-    if served and fault.place == "controller":
+    if served and fault.needs is Needs.LOOP:
         return "it is a fault of the loop, which is another process: kill or stop that, or use lockstep"
-    if fault.inject.__qualname__.startswith("nothing."):
+    if fault.needs is Needs.START:
         return "it is a state of the rig from its start, not an event: python -m hil faults plays it"
     return ""
 

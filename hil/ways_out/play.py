@@ -10,7 +10,6 @@ from hil.faults import in_plant
 from hil.faults.catalogue import ROWS
 from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Bench, by_start, to_tensioning
-from hil.faults.parts import parts_of
 from hil.faults.stand import NoDeviceError, Stand
 from hil.faults.standing import restoring
 from hil.runs import runner
@@ -119,9 +118,9 @@ def _to_end(fault: InjectedFault, stand: Stand, *, leads: bool) -> Any:
     def mend() -> None:
         for action in undo:
             action()
-        if Part.PAYLOAD in parts_of(fault.id):
+        if Part.PAYLOAD in fault.part:
             in_plant.let_go_of(stand.plant)
 
-    operator = StepFollower(rig, parts_of(fault.id), mend, step)
+    operator = StepFollower(rig, fault.part, mend, step)
     operator.run(fault.seconds + fault.after_s + SETTLES_S)
     return operator.go() if leads else End.of(operator.state(), rig.loop.machine.action)

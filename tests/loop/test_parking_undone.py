@@ -8,6 +8,7 @@ import pytest
 
 from hil.faults import stand
 from hil.faults.in_device import STROKE, both, brake_slips, reads
+from hil.faults.on_bus import cell, silent
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.studies.roll_back.study import SET
@@ -19,7 +20,6 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
-from rigctl.devices import objects
 from tests.builders.branches import Started
 
 MOVED_MM = 1.0
@@ -152,13 +152,8 @@ def test_a_slip_after_the_first_second_switches_nothing_on(held: Lockstep) -> No
     assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.FAULT, Fault.STROKE_MOVES)
 
 
-def cell_silent(at: Stand) -> None:
-    samples = objects.TPDO1_BASE + at.settings.tension_cell.node
-    at.intercept(lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,))
-
-
 @pytest.mark.parametrize(
-    "fault", [both(cell_silent, brake_slips(0.5)), reads(STROKE, drift_s=-0.3)], ids=["no cell", "encoder drifts"]
+    "fault", [both(silent(cell), brake_slips(0.5)), reads(STROKE, drift_s=-0.3)], ids=["no cell", "encoder drifts"]
 )
 def test_one_measurement_alone_switches_nothing_on(held: Lockstep, fault: Injector) -> None:
     held.run(held.settings.hold.park_s - 0.3)

@@ -10,6 +10,7 @@ import pytest
 
 from hil.faults.catalogue import BY_ID, CATALOGUE
 from hil.faults.expected import InjectedFault
+from hil.faults.stand import Needs
 from hil.faults.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file
@@ -114,7 +115,7 @@ def test_every_fault_is_injectable_or_says_why_not() -> None:
     assert len(INJECTABLE) >= 90
     for fault in CATALOGUE:
         why = hindrance(fault, served=True)
-        assert bool(why) == (fault.place == "controller" or fault.inject.__qualname__.startswith("nothing."))
+        assert bool(why) == (fault.needs in (Needs.LOOP, Needs.START))
     with pytest.raises(FaultRefusedError, match="found 'none_such', expected a fault of the catalogue"):
         found("none_such")
 

@@ -12,11 +12,13 @@ from dataclasses import replace
 import pytest
 
 from hil.cli import faults_ways_out
+from hil.faults.catalogue import ROWS
 from hil.runs import rows_file
 from hil.ways_out import step_follower
 from rigctl.control.logbook import Logbook
 from rigctl.control.modes import Mode
 from rigctl.control.situation import Situation
+from rigctl.diagnosis.part import Part
 from rigctl.wire import operator_view
 from rigctl.wire.instructions import Hands
 from tests.builders.paths import ROOT
@@ -100,7 +102,8 @@ def test_a_command_that_is_not_answered_as_it_is_offered_is_found(
 
 def test_hands_mend_only_where_the_fault_is(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Steps that lead to a part that is in order change nothing there."""
-    monkeypatch.setattr("hil.ways_out.play.parts_of", lambda _: ("a part that no step names",))
+    elsewhere = replace(ROWS["cell_stuck"], part=(Part.RAIL_ENCODER,))
+    monkeypatch.setitem(ROWS, "cell_stuck", elsewhere)
     file = tmp_path / "ways.jsonl"
     assert faults_ways_out.run(RIG, file, ["cell_stuck"], [Mode.HOLD.name]) == 1
     assert any(step.endswith("MEND at tension cell's amplifier: no") for step in taken(file))

@@ -16,7 +16,7 @@ from hil.faults.drawn.courses import Course, CourseStep, Operator
 from hil.faults.expected import Around, InjectedFault, Reaction
 from hil.faults.rows_io import FITTED
 from hil.faults.rows_parked import AT_ONCE
-from hil.faults.stand import Injector, Stand, Step
+from hil.faults.stand import FaultPlace, Injector, Stand, Step
 from hil.plant.inputs import Track
 from hil.plant.layout import MECHANISM
 from hil.scenario import disturbances, kinds
@@ -111,14 +111,11 @@ def _operated(commands: tuple[Command, ...]) -> Injector:
         operator = Operator(stand.lockstep, course)
         return lambda _: operator.step(stand.lockstep.clock.now())
 
-    return inject
+    return Injector(FaultPlace.CONTROLLER, (), inject)
 
 
 def _moved_by(motion: Callable[[], Mapping[int, Track]]) -> Injector:
-    def inject(stand: Stand) -> None:
-        stand.plant.start_motion(motion(), stand.plant.t_ns)
-
-    return inject
+    return Injector(FaultPlace.PLANT, (), lambda stand: stand.plant.start_motion(motion(), stand.plant.t_ns))
 
 
 def _out_and_back_twice() -> dict[int, Track]:

@@ -7,9 +7,10 @@ from dataclasses import KW_ONLY, dataclass
 
 from hil.faults import in_controller, in_device, in_plant, on_bus
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
-from hil.faults.stand import Injector, Stand
+from hil.faults.stand import FaultPlace, Injector, Stand
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState
+from rigctl.diagnosis.part import Part
 
 CELL_NOISE_N = 0.03
 ROPE_MM = 40.0
@@ -32,6 +33,13 @@ class DrawnKind:
     signed: bool = False
     delays_s: float = 0.0
     """Age that it adds to what is received, by its size."""
+    also: tuple[Part, ...] = ()
+    """Parts that may be named for it beside those of its injector."""
+
+    @property
+    def states(self) -> tuple[Part, ...]:
+        """The parts, any of which may be named for it."""
+        return (*self.inject(self.low).part, *self.also)
 
     def shown_late_s(self, size: float) -> float:
         """Age in s that it adds to the statusword shown."""
@@ -46,7 +54,7 @@ def _drive_gain(share: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.drive.defect = lambda speed, braked: (speed * (1.0 + share), braked)
 
-    return inject
+    return Injector(FaultPlace.DEVICE, (Part.DRIVE,), inject)
 
 
 KINDS = (
@@ -97,7 +105,8 @@ KINDS = (
          lambda ticks: on_bus.late(max(1, round(ticks))), 1.0, 30.0, delays_s=TICK_S),
     DrawnKind("drive_samples_frozen", "bus", "the drive's samples go on with frozen content",
          lambda _: on_bus.frozen(on_bus.drive)),
-    DrawnKind("drive_silent", "bus", "the drive's samples stop", lambda _: on_bus.silent(on_bus.drive)),
+    DrawnKind("drive_silent", "bus", "the drive's samples stop", lambda _: on_bus.silent(on_bus.drive),
+         also=(Part.BUS,)),
     DrawnKind("watch_lost", "bus", "the drive's watch over the heartbeat is switched off unseen",
          lambda _: in_device.setting_lost(objects.CONSUMER_HEARTBEAT, 1)),
     DrawnKind("brake_slips", "brake", "the closed brake gives way by {:.2g} mm/s", in_device.brake_slips, 0.02, 2.0),

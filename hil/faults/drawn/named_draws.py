@@ -7,11 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.faults.drawn import courses
+from hil.faults.drawn import courses, kinds
 from hil.faults.drawn.draw import BLOCK, Draw, block_of, pair_of
 from hil.faults.drawn.play import Branch, CourseRun, branches
 from hil.faults.naming import NamedRow, RecordedRow, culprit, naming
-from hil.faults.parts import DRAWN
 from hil.lockstep import lockstep
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
@@ -50,11 +49,11 @@ def _block(settings: RigSettings, gains: Gains, course: str, draws: Sequence[Dra
                 raise RuntimeError(found.error)
             about = culprit(found, settings)
             if about is not None:
-                kind = draw.faults[0].kind
+                kind = kinds.BY_NAME[draw.faults[0].kind]
                 mode = Mode(int(found.records["mode"][max(np.searchsorted(found.records["t_ns"], found.t_ns) - 1, 0)]))
                 rows.append(
-                    NamedRow(f"{draw.index} {kind} {draw.faults[0].size:g}", mode.name, DRAWN[kind], about.parts,
-                             naming(about, DRAWN[kind]), about.text)
+                    NamedRow(f"{draw.index} {kind.name} {draw.faults[0].size:g}", mode.name, kind.states, about.parts,
+                             naming(about, kind.states), about.text)
                 )  # fmt: skip
     return rows
 
