@@ -52,18 +52,17 @@ class Standstill:
     """Time the stroke has stood still, from position and reported speed."""
 
     def __init__(self, settings: RigSettings) -> None:
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = 1.0 / (1.0 + SPEED_S * settings.loop.rate_hz)
         self._anchor_mm, self._slow_mm_s = math.nan, 0.0
         self._since_ns = 0
 
-    def look(self, now_ns: int, stroke_mm: float, speed_mm_s: float, age_ns: int) -> int:
+    def look(self, now_ns: int, stroke_mm: float, speed_mm_s: float, heard: bool) -> int:
         """Nanoseconds of standstill as of ``now_ns``; 0 while the drive's samples are missing or not finite."""
         self._slow_mm_s += (speed_mm_s - self._slow_mm_s) * self._share
         if not math.isfinite(self._slow_mm_s):
             self._slow_mm_s = 0.0
         near = abs(stroke_mm - self._anchor_mm) <= STILL_MM  # False for NaN
-        if not (near and abs(self._slow_mm_s) < STILL_MM_S and age_ns <= self._stale_ns):
+        if not (near and abs(self._slow_mm_s) < STILL_MM_S and heard):
             self._anchor_mm, self._since_ns = stroke_mm, now_ns
         return now_ns - self._since_ns
 

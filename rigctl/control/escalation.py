@@ -112,16 +112,16 @@ def _late_s(snapshot: Snapshot, since: Since, bounds: Bounds) -> float:
     return (snapshot.t_ns - since.t_ns) * 1e-9 - 2.0 * max(0.0, since.tension_n) / bounds.ramp_n_s
 
 
-def _speed_mm_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
-    return abs(snapshot.speed_mm_s) if snapshot.drive_age_ns <= bounds.stale_ns else 0.0
+def _speed_mm_s(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:
+    return abs(snapshot.speed_mm_s) if snapshot.drive_heard else 0.0
 
 
 def _unseen_s(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
     return max(0, snapshot.drive_age_ns - bounds.stale_ns) * 1e-9 if snapshot.drive_may_be_on else 0.0
 
 
-def _unseen_mm(snapshot: Snapshot, _since: Since, bounds: Bounds) -> float:
-    return snapshot.unseen_mm if snapshot.drive_age_ns > bounds.stale_ns else 0.0
+def _unseen_mm(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:
+    return 0.0 if snapshot.drive_heard else snapshot.unseen_mm
 
 
 def _unanswered(snapshot: Snapshot, _since: Since, _bounds: Bounds) -> float:

@@ -115,7 +115,6 @@ class HeldTension:
         self._dt = 1.0 / settings.loop.rate_hz
         self._stiffness, self._share = plant.stiffness_n_mm, plant.slow_stiffness_n_mm / plant.stiffness_n_mm
         self._slack_n = settings.tension.slack_n
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._stuck = settings.safety.stuck_samples or math.inf
         bounce_s = 0.0
         if plant.mechanism_n_mm is not None:
@@ -142,7 +141,7 @@ class HeldTension:
         """One tick, ``ticks`` after the last; ``latched``: the stroke has come to rest and is latched."""
         self._clear()
         tension_n = snapshot.tension_n
-        stale = snapshot.cell_age_ns > self._stale_ns or snapshot.cell_repeats >= self._stuck
+        stale = not snapshot.cell_heard or snapshot.cell_repeats >= self._stuck
         if stale or snapshot.cell_quality or not math.isfinite(tension_n):
             return
         passed_s = ticks * self._dt

@@ -43,7 +43,6 @@ class LoadRest:
         self._rest_n = REST_MM * settings.plant.stiffness_n_mm
         self._still_n = STILL_MM * settings.plant.stiffness_n_mm
         self._slack_n = settings.tension.slack_n
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = settings.loop.period_ns * 1e-9 / _SMOOTH_S
         self._tension_n = self._reference_n = math.nan
         self._from_ns = 0
@@ -55,14 +54,14 @@ class LoadRest:
         """One tick; ``causes``: the fault that is latched and the causes that are active, see `Fault.bit`."""
         self.tension_seen = (
             not causes & CELL_BITS and not snapshot.cell_frozen
-            and snapshot.cell_quality == 0 and snapshot.cell_age_ns <= self._stale_ns
+            and snapshot.cell_quality == 0 and snapshot.cell_heard
         )  # fmt: skip
         self.slack = self.tension_seen and snapshot.tension_n < self._slack_n
         self.tension_ns = self._tension_at_rest_ns(snapshot)
         if abs(snapshot.sinks_n) <= self._still_n:
             self._falls_ns = snapshot.t_ns
         by_tension = self.tension_seen and not self.slack
-        by_stroke = not causes & STROKE_BITS and snapshot.drive_age_ns <= self._stale_ns
+        by_stroke = not causes & STROKE_BITS and snapshot.drive_heard
         falls = snapshot.t_ns - self._falls_ns >= BOUNCE_NS
         # Also of a rope that is slack by now, and of a cell that has come into doubt since.
         moved = snapshot.t_ns - self._from_ns < REST_NS

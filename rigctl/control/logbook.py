@@ -75,7 +75,6 @@ class Logbook:
         self._rings = rings
         self._values, self._in_order = RECORD.by_name()
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
         self._failures = self._receive_failures = 0
         self.tick = 0
@@ -127,7 +126,7 @@ class Logbook:
         values.slack_zero_n = measured.slack_zero_n
         values.cell_temperature_c = measured.temperature_c
         values.tension_age_ns = snapshot.cell_age_ns
-        values.tension_quality = inbox.cell_quality | (_STALE if snapshot.cell_age_ns > self._stale_ns else 0)
+        values.tension_quality = inbox.cell_quality | (0 if snapshot.cell_heard else _STALE)
         values.tangential_rad = inbox.tangential_rad
         values.normal_rad = inbox.normal_rad
         values.inclination_age_ns = snapshot.inclination_age_ns
@@ -137,7 +136,7 @@ class Logbook:
         values.stroke_mm = inbox.stroke_mm
         values.speed_mm_s = inbox.speed_mm_s
         values.drive_age_ns = snapshot.drive_age_ns
-        values.drive_quality = _STALE if snapshot.drive_age_ns > self._stale_ns else 0
+        values.drive_quality = 0 if snapshot.drive_heard else _STALE
         values.statusword = inbox.statusword
         values.controlword = outbox.controlword
         values.command_mm_s = law.command_mm_s

@@ -114,7 +114,7 @@ class Observer:
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
         self._take_up = TakeUp(settings)
         self._standstill, self._sinking = Standstill(settings), Sinking(settings, rope)
-        self.power_off = PowerOffWatch(settings)
+        self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
@@ -146,17 +146,19 @@ class Observer:
         snapshot.tension_n, snapshot.cell_quality = inbox.tension_n, inbox.cell_quality
         snapshot.reading_n = inbox.reading_n
         snapshot.cell_age_ns = now_ns - inbox.cell_t_ns
+        snapshot.cell_heard = snapshot.cell_age_ns <= self._stale_ns
         snapshot.inclination_quality = inbox.slope_quality
         snapshot.inclination_age_ns = now_ns - inbox.slope_t_ns
         self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail_t_ns
         snapshot.stroke_mm, snapshot.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
         snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
         snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
+        snapshot.drive_heard = snapshot.drive_age_ns <= self._stale_ns
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         self._look_at_off(now_ns, off=state in UNPOWERED_STATES)
-        snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_age_ns)
+        snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_heard)
         self._look_at_sinking(now_ns)
         self._look_at_drive_status(now_ns)
         self._look_at_fitted(now_ns)
@@ -226,8 +228,8 @@ class Observer:
         # The stroke's latch watches motion under our own command.
         snapshot.drive_powered = not (snapshot.drive_off or snapshot.drive_faulted or commanded)
         self._went_off = not commanded and (self._went_off or snapshot.drive_off)
-        known = snapshot.drive_age_ns <= self._stale_ns  # a silent drive may have obeyed long ago
-        snapshot.drive_unasked = known and enabled and self._went_off
+        # A silent drive may have obeyed long ago.
+        snapshot.drive_unasked = snapshot.drive_heard and enabled and self._went_off
         self._look_at_power()
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
@@ -254,8 +256,7 @@ class Observer:
         snapshot = self.snapshot
         stopped_ns = min(snapshot.still_ns, snapshot.off_ns - self._stopping_ns)
         off_ns = min(snapshot.off_ns, self._not_on_ns, max(stopped_ns, self._cut_ns))
-        known = snapshot.drive_age_ns <= self._stale_ns
-        return known and off_ns >= self._brake_ns and not snapshot.drive_current_flows
+        return snapshot.drive_heard and off_ns >= self._brake_ns and not snapshot.drive_current_flows
 
     @property
     def shown_off(self) -> bool:
@@ -276,7 +277,7 @@ class Observer:
         self._rested |= braked and rests and snapshot.off_ns >= self._alone_ns
         snapshot.held_by = held_by(
             machine.mode,
-            known=snapshot.drive_age_ns <= self._stale_ns,
+            known=snapshot.drive_heard,
             braked=braked,
             rests=rests and self._rested,
             settles=settles,

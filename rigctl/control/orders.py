@@ -109,7 +109,6 @@ class Orders:
         self._values: _Values = {}  # of the command under way
         self.powered_until_ns = 0
         """The motor may hold until then for the trial under way; 0: the trial needs no power."""
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._look_ns = 0
         self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found: _Values = {}  # figures of the last trial
@@ -399,7 +398,7 @@ class Orders:
             stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot, settings),
             fault=machine.fault,
             moves=0 if settings.learning is None else settings.learning.moves,
-            stroke_mm=snapshot.stroke_mm if snapshot.drive_age_ns <= self._stale_ns else math.nan,
+            stroke_mm=snapshot.stroke_mm if snapshot.drive_heard else math.nan,
             armed=machine.armed,
             carried_s=max(0, machine.carry_until_ns - t_ns) * 1e-9 if machine.carry_until_ns else 0.0,
             e_stop=snapshot.e_stop != 0,

@@ -81,7 +81,6 @@ class FirstSecond:
         self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n / self._stiffness)
         self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._seated_ns = min(self._brake_ns, _SEATED_NS)
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._share = settings.loop.period_ns * 1e-9 / _UNDO_SMOOTH_S
         self._slack_n = settings.tension.slack_n
         self.sank_mm = 0.0
@@ -107,7 +106,7 @@ class FirstSecond:
         """
         if not self._parks:
             return
-        unseen = max(snapshot.cell_age_ns, snapshot.drive_age_ns) > self._stale_ns or snapshot.cell_quality
+        unseen = not (snapshot.cell_heard and snapshot.drive_heard) or snapshot.cell_quality
         if (
             unseen
             or not math.isfinite(snapshot.tension_n + snapshot.stroke_mm)

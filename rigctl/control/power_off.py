@@ -6,7 +6,6 @@ Nor is a load at rest alone, which a motor may carry.
 
 from __future__ import annotations
 
-from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import REST_NS, LoadRest
 from rigctl.control.modes import LoadAtRest, PowerOff
@@ -19,8 +18,7 @@ WAIT_NS = 5_000_000_000  # the drive's own supervision (2 s at most), then rest
 class PowerOffWatch:
     """Watches from the command on, until the fault behind it is reset."""
 
-    def __init__(self, settings: RigSettings) -> None:
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
+    def __init__(self) -> None:
         self._from_ns = 0
         self.shown = PowerOff.NONE
 
@@ -63,4 +61,4 @@ class PowerOffWatch:
     def _drive_at_rest(self, snapshot: Snapshot, at_least_ns: int = 1) -> bool:
         """The drive reports a state without power, and its stroke has stood still since the command or longer."""
         still_ns = min(snapshot.still_ns, snapshot.off_ns, snapshot.t_ns - self._from_ns)
-        return snapshot.drive_age_ns <= self._stale_ns and still_ns >= at_least_ns
+        return snapshot.drive_heard and still_ns >= at_least_ns

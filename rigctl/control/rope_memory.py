@@ -20,7 +20,6 @@ class RopeMemory:
 
     def __init__(self, settings: RigSettings) -> None:
         self._slack_n, self._stiffness = settings.tension.slack_n, settings.plant.slow_stiffness_n_mm
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self.tension_n = self._at_mm = math.nan
 
     def look(self, standing: int, snapshot: Snapshot) -> None:
@@ -28,7 +27,7 @@ class RopeMemory:
         if (
             snapshot.tension_n >= self._slack_n
             and not (snapshot.cell_quality or standing & CELL_BITS)
-            and snapshot.cell_age_ns <= self._stale_ns
+            and snapshot.cell_heard
         ):
             self.tension_n, self._at_mm = snapshot.tension_n, snapshot.stroke_mm
 
@@ -45,5 +44,5 @@ class RopeMemory:
 
     def cell_in_doubt(self, standing: int, snapshot: Snapshot) -> bool:
         """The cell shows no tension that may be relied on."""
-        silent = snapshot.cell_age_ns > self._stale_ns or snapshot.cell_quality != 0
+        silent = not snapshot.cell_heard or snapshot.cell_quality != 0
         return silent or bool(standing & CELL_BITS & ~CONTRADICTED_BIT) or self.slack_in_doubt(snapshot)

@@ -623,11 +623,11 @@ def preflight(
     inside = cylinder.stroke_min_mm + margin_mm <= snapshot.stroke_mm <= cylinder.stroke_max_mm - margin_mm
     in_range = low <= snapshot.stroke_mm <= high
     failing = {
-        Check.CELL_STALE: snapshot.cell_age_ns > s.stale_ms * _MS,
+        Check.CELL_STALE: not snapshot.cell_heard,
         Check.CELL_INVALID: snapshot.cell_quality != 0,
         Check.INCLINATION_STALE: snapshot.inclination_age_ns > s.inclination_stale_ms * _MS,
         Check.INCLINATION_INVALID: snapshot.inclination_quality != 0,
-        Check.DRIVE_STALE: snapshot.drive_age_ns > s.stale_ms * _MS,
+        Check.DRIVE_STALE: not snapshot.drive_heard,
         Check.DRIVE_FAULT: snapshot.drive_faulted,
         Check.TENSION_HIGH: not _highest_n(snapshot) <= s.tension_high_n,
         Check.STROKE_RANGE: not in_range,

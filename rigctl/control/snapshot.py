@@ -33,6 +33,7 @@ class Snapshot:
     tension_n: float = math.nan
     reading_n: float = math.nan  # tension before zero and scale are applied
     cell_age_ns: int = 1 << 62
+    cell_heard: bool = False  # that age is not above safety.stale_ms
     cell_quality: int = 0
     inclination_age_ns: int = 1 << 62
     inclination_quality: int = 0
@@ -42,6 +43,7 @@ class Snapshot:
     travel_mm: float = 0.0  # since COMPENSATING began, less what the set-point has moved
     speed_mm_s: float = 0.0
     drive_age_ns: int = 1 << 62
+    drive_heard: bool = False  # the same
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
     off_ns: int = 0  # time since the drive began to report a state without power

@@ -47,7 +47,6 @@ class StrokeHold:
         self._authority = min(AUTHORITY_MM_S, self._speed_max)
         self._stop_s, self._settle_s = STOP_LAGS * lag_s, SETTLE_LAGS * lag_s
         self._deceleration = min(tension.acceleration_max_mm_s2, settings.cylinder.stop_deceleration_mm_s2)
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._forget()
 
     def follow(self) -> None:
@@ -96,7 +95,7 @@ class StrokeHold:
             ticks: since the last call.
             powered: the drive is on and stays on.
         """
-        known = math.isfinite(self.reference_mm) and snapshot.drive_age_ns <= self._stale_ns and not self._doubted
+        known = math.isfinite(self.reference_mm) and snapshot.drive_heard and not self._doubted
         self.creeps = False
         if not (known and powered):
             self.command_mm_s = 0.0

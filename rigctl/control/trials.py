@@ -69,7 +69,6 @@ class Average:
         """``largest_n``: largest sample allowed."""
         self._largest_n = largest_n
         self._left = round(AVERAGED_S * settings.loop.rate_hz)
-        self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._compensates = settings.compensation is not None
         self._has_second = settings.second_force is not None
         cell = settings.tension_cell
@@ -106,7 +105,7 @@ class Average:
 
     def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """Take this tick's sample, if one came."""
-        if snapshot.cell_quality or snapshot.cell_age_ns > self._stale_ns:
+        if snapshot.cell_quality or not snapshot.cell_heard:
             return Refusal.NO_SAMPLES
         if abs(inbox.speed_mm_s) > STILL_MM_S:
             return Refusal.UNSTEADY

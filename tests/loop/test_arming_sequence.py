@@ -125,7 +125,7 @@ def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSetti
     for i in range(400):
         stroke = 50.0 + count_mm * (i // 7 % 2)
         speed = count_mm / period_s / 7.0 * (1 if i % 14 == 7 else -1 if i % 14 == 0 else 0) * 0.2
-        found = still.look(i * MS, stroke, speed, MS)
+        found = still.look(i * MS, stroke, speed, True)
     assert found >= arming.STILL_NS
 
 
@@ -133,14 +133,14 @@ def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSetti
 @pytest.mark.parametrize("speed_mm_s", [0.12, -0.12, 8.0])
 def test_a_stroke_that_creeps_is_not_at_standstill(settings: RigSettings, speed_mm_s: float) -> None:
     still = arming.Standstill(settings)
-    found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, MS) for i in range(1000)]  # its own speed is 0
+    found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, True) for i in range(1000)]  # its own speed is 0
     assert max(found) < arming.STILL_NS
 
 
-@pytest.mark.parametrize(("stroke", "age_ns"), [(float("nan"), 0), (50.0, 16 * MS)])
-def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: float, age_ns: int) -> None:
+@pytest.mark.parametrize(("stroke", "heard"), [(float("nan"), True), (50.0, False)])
+def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: float, heard: bool) -> None:
     still = arming.Standstill(settings)
-    assert max(still.look(i * MS, stroke, 0.0, age_ns) for i in range(500)) < arming.STILL_NS
+    assert max(still.look(i * MS, stroke, 0.0, heard) for i in range(500)) < arming.STILL_NS
 
 
 # -- brake test -------------------------------------------------------------------------------------------------

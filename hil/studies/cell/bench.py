@@ -61,7 +61,7 @@ class CellBench:
         self._bias_n = simulation.cell.bias_n
         self.celsius = simulation.cell.temperature_c
         self.reading_n = self.tension_n = 0.0
-        self._snapshot = Snapshot(cell_quality=0, cell_age_ns=0)
+        self._snapshot = Snapshot(cell_age_ns=0, cell_heard=True)
         self._inbox: Any = SimpleNamespace(cell=self.cell, second=None, cell_fresh=True, speed_mm_s=0.0, stroke_mm=0.0)
 
     @property

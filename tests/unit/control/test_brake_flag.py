@@ -25,7 +25,7 @@ def taken_over(kept: KeptBrake, tension_n: float, standing: int = 0) -> BrakeFla
     """The flag after a tick with this tension on the closed brake."""
     rope = RopeMemory(SETTINGS)
     found = BrakeFlag(SETTINGS, rope, kept)
-    seen = Snapshot(tension_n=tension_n, cell_age_ns=0, stroke_mm=50.0)
+    seen = Snapshot(tension_n=tension_n, cell_heard=True, stroke_mm=50.0)
     rope.look(standing, seen)
     found.look(standing, seen, braked=True)
     return found

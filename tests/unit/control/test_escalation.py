@@ -18,7 +18,7 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 STOP_NS = 60 * MS
 BOUNDS = Bounds(SETTINGS, STOP_NS)
-GOOD = Snapshot(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS, drive_may_be_on=True)
+GOOD = Snapshot(tension_n=300.0, stroke_mm=50.0, drive_age_ns=MS, drive_heard=True, drive_may_be_on=True)
 OFF = replace(GOOD, drive_off=True, drive_may_be_on=False)
 STOPS = replace(GOOD, drive_stops=True)
 HELPED = {Action.RAMP_DOWN: GOOD, Action.HOLD: GOOD, Action.QUICK_STOP: OFF, Action.POWER_OFF: OFF,
@@ -31,7 +31,7 @@ BAD = {
     Symptom.STOP_DRIFTS: {"stroke_mm": 49.79},
     Symptom.STOP_STAYS_ON: {"drive_may_be_on": True, "drive_stops": True},
     Symptom.OFF_DRIFTS: {"stroke_mm": 50.21},
-    Symptom.HOLD_BLIND: {"unseen_mm": 0.21, "drive_age_ns": 16 * MS},
+    Symptom.HOLD_BLIND: {"unseen_mm": 0.21, "drive_heard": False},
     Symptom.STOP_UNANSWERED: {"drive_may_be_on": True},
     Symptom.OFF_UNANSWERED: {"drive_may_be_on": True},
     Symptom.OFF_STAYS_ON: {"drive_may_be_on": True, "drive_stops": True},

@@ -28,7 +28,12 @@ class Load:
         for _ in range(time_ns // STEP_NS):
             self._t_ns += STEP_NS
             snapshot = Snapshot(
-                t_ns=self._t_ns, tension_n=tension_n, sinks_n=sinks_n, still_ns=REST_NS, cell_age_ns=0, drive_age_ns=0
+                t_ns=self._t_ns,
+                tension_n=tension_n,
+                sinks_n=sinks_n,
+                still_ns=REST_NS,
+                cell_heard=True,
+                drive_heard=True,
             )
             shown = self._rest.look(causes, snapshot)
         return shown

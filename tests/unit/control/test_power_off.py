@@ -21,7 +21,7 @@ class Stop:
     """A power-off that was commanded at ``COMMANDED_NS``; nothing but the input of the drive can show it."""
 
     def __init__(self) -> None:
-        self.watch, self._load = PowerOffWatch(PAPER), LoadRest(PAPER)
+        self.watch, self._load = PowerOffWatch(), LoadRest(PAPER)
 
     def look(self, after_ns: int, *, torque_off: bool = False) -> PowerOff:
         snapshot = Snapshot(t_ns=COMMANDED_NS + after_ns, torque_off=torque_off)

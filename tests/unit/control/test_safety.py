@@ -30,9 +30,11 @@ MS = 1_000_000
 GOOD = Snapshot(
     tension_n=300.0,
     cell_age_ns=MS,
+    cell_heard=True,
     inclination_age_ns=9 * MS,
     stroke_mm=50.0,
     drive_age_ns=MS,
+    drive_heard=True,
     drive_enabled=True,
     bus_age_ns=MS,
     drive_wanted=True,
@@ -187,11 +189,11 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
 @pytest.mark.parametrize(
     ("bad", "check"),
     [
-        ({"cell_age_ns": 16 * MS}, Check.CELL_STALE),
+        ({"cell_heard": False}, Check.CELL_STALE),
         ({"cell_quality": 1}, Check.CELL_INVALID),
         ({"inclination_age_ns": 101 * MS}, Check.INCLINATION_STALE),
         ({"inclination_quality": 1}, Check.INCLINATION_INVALID),
-        ({"drive_age_ns": 16 * MS}, Check.DRIVE_STALE),
+        ({"drive_heard": False}, Check.DRIVE_STALE),
         ({"drive_faulted": True}, Check.DRIVE_FAULT),
         ({"tension_n": 401.0}, Check.TENSION_HIGH),
         ({"reading_n": 401.0}, Check.TENSION_HIGH),

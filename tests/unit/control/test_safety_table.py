@@ -32,7 +32,8 @@ EVERY = f"DISARMED {ARMED}"
 FALL_N = 0.2 * SETTINGS.plant.stiffness_n_mm
 REST = "HOLD FAULT"
 GOOD = Snapshot(
-    tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, drive_enabled=True,
+    tension_n=300.0, cell_age_ns=MS, cell_heard=True, inclination_age_ns=9 * MS, stroke_mm=50.0,
+    drive_age_ns=MS, drive_heard=True, drive_enabled=True,
     bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
 )  # fmt: skip
 

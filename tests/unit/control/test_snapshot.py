@@ -6,7 +6,9 @@ import ast
 import collections
 
 from rigctl.control.snapshot import Snapshot
+from tests.builders import observers
 from tests.builders.paths import ROOT
+from tests.builders.rig_bench import SETTINGS
 
 FIELDS = frozenset(Snapshot.__slots__)
 LIVE = {"heartbeats_t_ns", "node_states"}  # given to the constructor: the inbox's own
@@ -34,3 +36,15 @@ def test_the_observer_alone_assigns_the_fields_of_the_snapshot_each_in_one_place
         places.update(fields)
     assert [name for name, count in places.items() if count > 1] == []
     assert set(places) | LIVE == FIELDS
+
+
+def test_a_device_is_heard_while_its_newest_sample_is_not_older_than_the_limit() -> None:
+    observer, inbox, _ = observers.alone(SETTINGS)
+    limit_ns = SETTINGS.safety.stale_ms * 1_000_000
+    inbox.cell_t_ns, inbox.drive_t_ns = 0, 1
+    observer.look(limit_ns, 0)
+    assert (observer.snapshot.cell_heard, observer.snapshot.drive_heard) == (True, True)
+    observer.look(limit_ns + 1, 0)
+    assert (observer.snapshot.cell_heard, observer.snapshot.drive_heard) == (False, True)
+    observer.look(limit_ns + 2, 0)
+    assert (observer.snapshot.cell_heard, observer.snapshot.drive_heard) == (False, False)

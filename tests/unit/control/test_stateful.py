@@ -34,7 +34,8 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml").model_copy(
     update={"limits": LIMITS, "io": IoSettings(e_stop_input=0)}
 )
 GOOD = Snapshot(
-    tension_n=300.0, cell_age_ns=MS, inclination_age_ns=9 * MS, stroke_mm=50.0, drive_age_ns=MS, bus_age_ns=MS,
+    tension_n=300.0, cell_age_ns=MS, cell_heard=True, inclination_age_ns=9 * MS, stroke_mm=50.0,
+    drive_age_ns=MS, drive_heard=True, bus_age_ns=MS,
     drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS, status_age_ns=MS,
 )  # fmt: skip
 BAD: dict[str, object] = {
