@@ -322,22 +322,16 @@ _UNSEEN = (
     | Check.NODE_NOT_OPERATIONAL
 )
 _SILENT_HINT = " (a device that was switched off or a CAN interface that was unplugged needs the daemon started anew)"
+_MOVES_STROKE = tuple(mode for mode in Mode if mode.moves_stroke)
 _HINT: dict[tuple[Mode, Verb], str] = {
     **{(Mode.FAULT, verb): ": reset first" for verb in (Verb.ARM, Verb.TENSION, Verb.RELEASE, Verb.HOLD, *TRIED_IN)},
     **{(Mode.DISARMED, verb): ": arm first" for verb in (Verb.TENSION, Verb.RELEASE, Verb.HOLD, Verb.IDENTIFY)},
     (Mode.DISARMED, Verb.RESPONSE): ": arm and tension first",
     (Mode.HOLD, Verb.RESPONSE): ": tension first",
-    **{
-        (mode, verb): ": hold first"
-        for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-        for verb in (Verb.DISARM, Verb.BRAKE_TEST, *TRIED_IN)
-    },
+    **{(mode, verb): ": hold first" for mode in _MOVES_STROKE for verb in (Verb.DISARM, Verb.BRAKE_TEST, *TRIED_IN)},
     **{(mode, Verb.RELEASE): ": a length is paid out in HOLD" for mode in (Mode.TENSIONING, Mode.COMPENSATING)},
     (Mode.DISARMED, Verb.BRAKE_TEST): ": arm on a tight rope tests it",
-    **{
-        (mode, Verb.CONFIRM_STROKE): ": hold, then disarm first"
-        for mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-    },
+    **{(mode, Verb.CONFIRM_STROKE): ": hold, then disarm first" for mode in _MOVES_STROKE},
     (Mode.HOLD, Verb.CONFIRM_STROKE): ": disarm first",
     **{(mode, Verb.RESET): ": there is no fault" for mode in Mode if mode is not Mode.FAULT},
 }

@@ -59,12 +59,8 @@ COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
-_CLOSED = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
-"""Modes in which the law holds the tension."""
 SLIP_BITS = bits_of(SLIPS)
 _MOVES_BIT = Fault.STROKE_MOVES.bit
-_KEEPS = frozenset({Mode.DISARMED, Mode.HOLD, Mode.FAULT})
-"""Modes that keep the stroke."""
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
@@ -310,7 +306,7 @@ class Loop:
             powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
             speed_mm_s = law.hold(estimate, self._correction(powered=powered))
         self.observer.filter.command(speed_mm_s - untold_mm_s)
-        if self._table is not None and mode in _CLOSED:
+        if self._table is not None and mode.moves_stroke:
             self._follow_table(self._table, estimate.stroke_mm)
         return speed_mm_s
 
@@ -424,13 +420,13 @@ class Loop:
         if snapshot.power_off != shown and snapshot.power_off > PowerOff.AWAITED:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
             self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, int(self.brake.fails), value=since_s)
-        if snapshot.held_by is not before and machine.mode in _KEEPS:
+        if snapshot.held_by is not before and not machine.mode.moves_stroke:
             text = (machine.trial or machine.pending or machine.mode).name.encode()
             until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
         braked = self.observer.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE
-        braked = braked and machine.mode in _KEEPS
+        braked = braked and not machine.mode.moves_stroke
         if braked and (rest.rests if not snapshot.load_at_rest.rests else self._moved_on_brake):
             self._moved_on_brake = rest.rests
             text = machine.mode.name.encode()
@@ -529,7 +525,7 @@ class Loop:
     def _watch_stroke(self, now_ns: int) -> None:
         """Latch the stroke where the mode keeps it, and write an event when it leaves the latch."""
         hold, machine, snapshot, trial = self._stroke_hold, self.machine, self.observer.snapshot, self._orders.trial
-        moves = machine.mode not in _KEEPS or (trial is not None and trial.moves)
+        moves = machine.mode.moves_stroke or (trial is not None and trial.moves)
         if moves or self.homed.doubted:  # an unconfirmed position cannot be held
             hold.follow()
         else:

@@ -20,7 +20,6 @@ ARM_LIMIT_NS = 2_000_000_000
 LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long, as is a parking undone
 SLIPS = frozenset({Fault.STROKE_MOVES, Fault.BRAKE_SLIPS, Fault.STROKE_NOT_HELD})
 """Faults of a brake that does not hold: the motor may carry or lower the load nevertheless."""
-_MAY_MOVE = frozenset({Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
 OFF_LIMIT_NS = 3_000_000_000
 """Time a drive has to stop, to close its brake and to go off after a DISARM."""
@@ -196,7 +195,7 @@ class Machine:
         Returns whether it does: not where the power was taken off or the rig disarmed, or a command is on its way.
         """
         stopped = self.fault is not Fault.NONE and self.action > Action.HOLD
-        parked = self.armed and not self._powered and self.mode in (Mode.HOLD, Mode.FAULT)
+        parked = self.armed and not self._powered and self.mode.parks
         tests = self.awaiting and self.pending is Verb.BRAKE_TEST
         if not parked or stopped or self.stopping or (self._pending is not None and not tests):
             return False
@@ -221,7 +220,7 @@ class Machine:
         """
         if trip.fault in SLIPS and self.taking and self.mode is Mode.FAULT:
             return False  # the motor takes the load because the brake slips
-        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode in _MAY_MOVE and self._powered
+        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and self._powered
         action = trip.action if ramps else max(trip.action, Action.HOLD)
         if trip.at_once and self.action is Action.POWER_OFF:
             self._cut_at_ns = min(self._cut_at_ns, t_ns)

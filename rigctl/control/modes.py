@@ -23,6 +23,17 @@ class Mode(IntEnum):
     RELEASING = 4  # bounded ramp to slack
     FAULT = 5  # stroke held, latched
 
+    def __init__(self, _number: int) -> None:
+        name = self._name_
+        self.moves_stroke = name in ("TENSIONING", "COMPENSATING", "RELEASING")
+        """The motor has the load, and the law moves the stroke; the other modes keep it where it is."""
+        self.parks = name in ("HOLD", "FAULT")
+        """The motor holds the stroke for some time at most, then the brake takes the load."""
+        self.may_move = self.moves_stroke or name == "HOLD"
+        """Armed: a stop ends in HOLD, and a fault may lower the load by a ramp."""
+        self.reading_may_jump = name in ("DISARMED", "HOLD")
+        """Nothing acts on the tension: zero, scale and creep of the cell may change."""
+
 
 class HeldBy(IntEnum):
     """What carries the load; the first in a mode that moves the stroke."""
@@ -105,9 +116,6 @@ _SHOWN_WORDS: dict[PowerOff, str] = {
 }
 
 
-_MOVES = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
-
-
 def held_by(
     mode: Mode, *, known: bool, braked: bool, rests: bool, settles: bool, taking: bool, powered: bool
 ) -> HeldBy:
@@ -130,7 +138,7 @@ def held_by(
         return HeldBy.BRAKE if rests else HeldBy.CLOSING if settles else HeldBy.UNKNOWN
     if not powered:
         return HeldBy.CLOSING
-    return HeldBy.NOTHING if mode in _MOVES else HeldBy.MOTOR
+    return HeldBy.NOTHING if mode.moves_stroke else HeldBy.MOTOR
 
 
 class Event(IntEnum):
@@ -417,8 +425,7 @@ class Transition:
 CARRY_S = 1.0, 3600.0
 """Shortest and longest time of a CARRY."""
 _WITNESSES = frozenset(map(float, Witness))
-_ALIVE = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
-_TIGHT = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING)
+_MAY_MOVE = tuple(mode for mode in Mode if mode.may_move)
 
 TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.DISARMED, Event.ENABLED): Transition(Mode.HOLD, preflight_passed),
@@ -436,9 +443,9 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.FAULT, Event.RESET_OFF): Transition(Mode.DISARMED, cause_gone),
     (Mode.FAULT, Event.LOWER): Transition(Mode.RELEASING, motor_may_lower),
     (Mode.FAULT, Event.RELEASE): Transition(Mode.RELEASING, motor_carries),
-    **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _TIGHT},
-    **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
-    **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _ALIVE},
+    **{(mode, Event.RAMP_DOWN): Transition(Mode.RELEASING) for mode in _MAY_MOVE if mode is not Mode.RELEASING},
+    **{(mode, Event.HOLD): Transition(Mode.HOLD, no_fault_latched) for mode in _MAY_MOVE},
+    **{(mode, Event.STOP): Transition(Mode.HOLD, no_fault_latched) for mode in _MAY_MOVE},
     (Mode.RELEASING, Event.RAMP_ENDS): Transition(Mode.FAULT),
     **{(mode, Event.TRIP): Transition(Mode.FAULT) for mode in Mode},
 }
@@ -526,7 +533,7 @@ _ALREADY = {
     (Mode.COMPENSATING, Verb.TENSION),
     (Mode.RELEASING, Verb.RELEASE),
     (Mode.DISARMED, Verb.DISARM),
-    *((mode, Verb.ARM) for mode in _ALIVE),
+    *((mode, Verb.ARM) for mode in _MAY_MOVE),
 }
 
 

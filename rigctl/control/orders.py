@@ -58,8 +58,6 @@ _ABOUT_DRIVE = frozenset(
 """Refusals whose reply has a figure of drive or brake."""
 _MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER})
 """The load moves on purpose: what it sank by the arms before is of no account."""
-_MOVING = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
-"""The motor has the load: no check and no cause is in the way of a command."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 100_000_000  # period of what the displays offer
@@ -178,7 +176,7 @@ class Orders:
     def _publish(self, t_ns: int) -> None:
         """Write the situation for the displays, and note the checks for the record."""
         machine = self._machine
-        failing = Check(0) if machine.mode in _MOVING else self.failed_checks()
+        failing = Check(0) if machine.mode.moves_stroke else self.failed_checks()
         self._logbook.situation(t_ns, machine.mode, self._situation(t_ns, failing=failing))
         if machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.pending:
             self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
@@ -388,7 +386,7 @@ class Orders:
         """
         machine, observer, settings, brake = self._machine, self._observer, self._settings, self._brake
         snapshot = observer.snapshot
-        moves = machine.mode in _MOVING
+        moves = machine.mode.moves_stroke  # no check and no cause is in the way of a command
         if failing is None:
             failing = Check(0) if moves else self.failed_checks(near_end=verb is Verb.ARM and self._near_end)
         stops = machine.action >= Action.QUICK_STOP or snapshot.drive_faulted
@@ -548,7 +546,7 @@ class Orders:
     def _set_correction(self, values: _Values, t_ns: int) -> Refusal:
         """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
         inbox = self._observer.inbox
-        if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
+        if not self._machine.mode.reading_may_jump or self._machine.stopping:
             return Refusal.WRONG_MODE
         if "zero_n" in values and not abs(inbox.reading_n) <= self._settings.tare_limit_n:
             return Refusal.LOADED
@@ -577,7 +575,7 @@ class Orders:
 
     def _set_creep(self, values: _Values, t_ns: int) -> Refusal:
         """Put the cell's creep in force, or none; the reading jumps a little, so only in DISARMED or HOLD."""
-        if self._machine.mode not in (Mode.DISARMED, Mode.HOLD) or self._machine.stopping:
+        if not self._machine.mode.reading_may_jump or self._machine.stopping:
             return Refusal.WRONG_MODE
         terms = (
             CreepTerm(values["creep_1"], values["creep_1_s"]),

@@ -15,7 +15,6 @@ from rigctl.control.snapshot import Snapshot
 
 REST_NS = 500_000_000
 """Spare time for a stroke to come to rest, beyond which the drive's own stop has to bring it there."""
-_KEEPS = frozenset({Mode.HOLD, Mode.FAULT})
 UNDO_NS = 1_000_000_000
 """A brake that slips within this time after a parking gives the load back to the motor that has just held it."""
 UNDO_MM = 0.04
@@ -55,7 +54,7 @@ class Parking:
             until_ns: the motor keeps the load until then, for a trial or a CARRY; 0: no.
             measures: a trial waits for the brake, which takes the load at standstill, as in FAULT.
         """
-        if not powered or mode not in _KEEPS or t_ns < until_ns or mode is not self._mode:
+        if not powered or not mode.parks or t_ns < until_ns or mode is not self._mode:
             self._mode, self._since_ns = mode, t_ns
             return False
         if not self._brake:

@@ -28,7 +28,6 @@ TAKING_S, TAKING_MM_S_N = 0.1, 0.055
 speed controller of 27 Hz, a factory setting, on 80 kg."""
 LARGEST_STEP_NOISES = 150.0  # and 1 mm of stretch; a larger step counts as this sum
 RATE_S = 0.005
-_MOVING = frozenset({Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING})
 LATCH_TICKS = 1  # a value latched by the drive in one tick is read in the next
 
 
@@ -125,7 +124,7 @@ class Plausibility:
         jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM
         apart_mm = 0.0 if jumped else moved_mm - said_mm
         self.contradiction_mm = self._contradiction_keep * self.contradiction_mm + apart_mm
-        self._look_at_stretch(inbox, drive_enabled and mode in _MOVING, moved_mm, slack)
+        self._look_at_stretch(inbox, drive_enabled and mode.moves_stroke, moved_mm, slack)
 
     def _look_for_runaway(self, inbox: Inbox, command_mm_s: float, ticks: int, drive_enabled: bool) -> None:
         keep = self._commanded_keep**ticks
