@@ -72,9 +72,13 @@ def _refused(
     return events.refusal_text(refusal, verb, mode, checks, Fault.CELL_STALE, _LIMITS_N, value, known, standing)
 
 
+_WORDED = (Trait.BLOCKS_RESET, Trait.AGE, Trait.DEVICE_SILENT)
+"""Traits that change words or the offer of a reset; the other ones are sets that the loop looks at."""
+
+
 def _faults() -> Named:
     for fault in Fault:
-        traits = ", ".join(trait.name or "" for trait in Trait if trait in fault.traits)
+        traits = ", ".join(trait.name or "" for trait in _WORDED if trait in fault.traits)
         yield f"fault {fault.name}", f"{fault.words}\n{fault.remedy}\n{traits}"
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.control.held_tension import fall_limit_n
 from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import RopeMemory
@@ -24,7 +24,7 @@ FALLS, FALLS_NS = 2.0, 5_000_000_000
 """Limits of LOAD_SINKS that the tension has to have lost, and for how long, while the encoder is in doubt."""
 TESTED_SHARE = 0.8
 """Of the load at which the brake slipped: a test with less shows nothing."""
-_SLIP_BITS = Fault.STROKE_MOVES.bit | Fault.BRAKE_SLIPS.bit
+_SLIP_BITS = bits_of(having(Trait.BRAKE_FAILS))
 _SINK_BIT = Fault.LOAD_SINKS.bit
 _KNOWN_BEFORE = "known before this start"
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault, bits_of
+from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import CONTRADICTED_BIT, RopeMemory
 from rigctl.control.situation import Witness
@@ -21,12 +21,7 @@ SPARE_MM = 5.0
 """Beyond the way after which the rope is slack by its last credible tension."""
 FOLLOWS_MM, FOLLOWS_NS = 0.5, 300_000_000
 """How far, and for how long, the tension may be from what the commanded stroke makes of it."""
-ENDS = frozenset(
-    {Fault.E_STOP, Fault.BUS_SILENT, Fault.SYNC_LOST, Fault.DRIVE_STALE, Fault.RIVAL, Fault.TENSION_HIGH,
-     Fault.STROKE_END, Fault.DRIVE_NOT_FOLLOWING, Fault.DRIVE_UNASKED}
-)  # fmt: skip
-"""What stops a motor that carries for a brake that does not hold; all else is reported, and it goes on."""
-_ENDS_BITS = bits_of(ENDS)
+_ENDS_BITS = bits_of(having(Trait.STOPS_CARRYING))
 _BY_CELL = Fault.TENSION_HIGH.bit
 _BY_ENCODER = Fault.DRIVE_NOT_FOLLOWING.bit
 WITNESS_TEXT = "the tension does not follow the commanded stroke"

@@ -8,9 +8,10 @@ from itertools import product
 from rigctl.control import load_at_rest
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
 from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
-from rigctl.control.carried_load import ENDS, FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
+from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.escalation import STEPS
+from rigctl.control.faults import Trait, having
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
 from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Verb, decide
@@ -23,7 +24,7 @@ from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 
 _LOAD_REST_S = load_at_rest.REST_NS * 1e-9
-_ENDS = "\n".join(f"- {fault.name}" for fault in sorted(ENDS))
+_ENDS = "\n".join(f"- {fault.name}" for fault in sorted(having(Trait.STOPS_CARRYING)))
 _TRIALS = "`identify` and `response`"
 _HEAD = f"""\
 # Modes

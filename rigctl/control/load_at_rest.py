@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault, bits_of
+from rigctl.control.faults import Trait, bits_of, having
 from rigctl.control.modes import REST_S, LoadAtRest
 from rigctl.control.snapshot import Snapshot
 
@@ -17,19 +17,8 @@ REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s
 STILL_MM = 0.02  # of stretch: the swing of a payload on air bearings falls and rises again by 0.01 mm
 BOUNCE_NS = 750_000_000  # a fall of more: that of a payload that bounces ends sooner, seen over 0.5 s
 _SMOOTH_S = 0.05  # of the cell's noise
-_CELL_DOUBTED = frozenset(
-    {Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE, Fault.SIGN_CELL, Fault.STRETCH_UNEXPLAINED,
-     Fault.INNOVATION, Fault.CELL_FROZEN, Fault.LOAD_UNSEEN, Fault.SENSOR_EMERGENCY}
-)  # fmt: skip
-_STROKE_DOUBTED = frozenset(
-    {Fault.ENCODER_STUCK, Fault.DRIVE_CONTRADICTS, Fault.POSITION_DRIFTS, Fault.STROKE_JUMPED, Fault.DRIVE_MOTIONLESS}
-)
-CELL_BITS = bits_of(_CELL_DOUBTED)
-STROKE_BITS = bits_of(_STROKE_DOUBTED)
-"""Causes, see `Fault.bit`, while which a tension or a stroke at rest shows nothing.
-
-A cell that was silent or invalid and is not any more shows the tension again.
-"""
+CELL_BITS, STROKE_BITS = bits_of(having(Trait.CELL_DOUBTED)), bits_of(having(Trait.STROKE_DOUBTED))
+"""Causes, see `Fault.bit`, while which a tension or a stroke at rest shows nothing."""
 
 
 class LoadRest:

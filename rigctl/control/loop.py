@@ -17,7 +17,7 @@ from rigctl.control.clock import Clock
 from rigctl.control.ending import Ending
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault, bits_of
+from rigctl.control.faults import Fault
 from rigctl.control.gain_table import GainTable
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.hold_sockets import GivenHolds, HoldSource
@@ -26,7 +26,7 @@ from rigctl.control.inbox import Inbox
 from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
-from rigctl.control.machine import NOTHING, SLIPS, Change, Machine
+from rigctl.control.machine import NOTHING, SLIP_BITS, Change, Machine
 from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
@@ -59,7 +59,6 @@ COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
-SLIP_BITS = bits_of(SLIPS)
 _MOVES_BIT = Fault.STROKE_MOVES.bit
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]

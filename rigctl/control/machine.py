@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 from rigctl.control import modes
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
@@ -18,8 +18,7 @@ from rigctl.devices.drive import Power
 ARM_LIMIT_NS = 2_000_000_000
 """Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
 LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long, as is a parking undone
-SLIPS = frozenset({Fault.STROKE_MOVES, Fault.BRAKE_SLIPS, Fault.STROKE_NOT_HELD})
-"""Faults of a brake that does not hold: the motor may carry or lower the load nevertheless."""
+SLIP_BITS = bits_of(having(Trait.MOTOR_MAY_CARRY))
 CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
 OFF_LIMIT_NS = 3_000_000_000
 """Time a drive has to stop, to close its brake and to go off after a DISARM."""
@@ -218,7 +217,7 @@ class Machine:
         A drive under power holds, except after a quick stop or power off. A ramp down needs a tight rope (not
         ``slack``) on the motor, in a mode that moves or may move; elsewhere it becomes a hold, and a hold ends it.
         """
-        if trip.fault in SLIPS and self.taking and self.mode is Mode.FAULT:
+        if trip.fault.bit & SLIP_BITS and self.taking and self.mode is Mode.FAULT:
             return False  # the motor takes the load because the brake slips
         ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and self._powered
         action = trip.action if ramps else max(trip.action, Action.HOLD)

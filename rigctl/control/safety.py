@@ -16,7 +16,7 @@ from typing import NamedTuple
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_step import PAYLOAD_MM_S
 from rigctl.control.checks import Check
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait, having
 from rigctl.control.held_tension import (
     FALLEN_NS,
     GROWS_MM,
@@ -604,9 +604,9 @@ class Watch:
 
 
 _NOTHING = RowReports()
-_IMPLAUSIBLE = frozenset({Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE})
-_EMERGENCY = frozenset({Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY})
-_LIMITED = frozenset({Fault.LIMIT, Fault.LIMIT_UNSEEN})
+_IMPLAUSIBLE = having(Trait.CELL_IMPLAUSIBLE)
+_EMERGENCY = having(Trait.EMERGENCY)
+_LIMITED = having(Trait.OF_RIG_FILE)
 
 
 def preflight(

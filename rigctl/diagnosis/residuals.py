@@ -16,7 +16,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait
 from rigctl.control.modes import HeldBy, Mode
 from rigctl.devices import emergency
 from rigctl.devices.objects import NmtState
@@ -182,7 +182,7 @@ def _named(window: TripWindow, fault: Fault) -> str:
     """The device that the trip's own text, node or fault is about; "" for none."""
     names = {node: name for name, node in window.settings.canopen_nodes.items()}
     value = window.trip.value
-    if fault in (Fault.SENSOR_EMERGENCY, Fault.DRIVE_EMERGENCY):
+    if Trait.EMERGENCY in fault.traits:
         return names.get(int(value) >> 16, "") if math.isfinite(value) else ""  # of a damaged recording it may be any
     for node, name in names.items():
         if f"node {node}" in window.trip.text:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigctl.control.faults import Fault
+from rigctl.control.faults import Fault, Trait, having
 from rigctl.control.modes import Mode
 from rigctl.diagnosis.part import OF_DEVICE, Part
 from rigctl.diagnosis.residuals import Residuals
@@ -342,13 +342,13 @@ TABLE: tuple[Clue, ...] = (
     Clue(Part.ENCODER, "The position has changed by {gone_mm:.2f} mm on the closed brake, and the tension does "
         "not show it.",
         f"{_STAY} Lock the drive out, then check its encoder.", _moves_unfelt,
-        frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS})),
+        having(Trait.BRAKE_FAILS)),
     Clue(Part.ENCODER, "The position moves on the closed brake, and the rope is slack: no load moves it.",
         f"{_STAY} Lock the drive out, then check its encoder.", _moves_slack,
-        frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS}), Part.BRAKE, "does the cylinder move, against a mark on it?"),
+        having(Trait.BRAKE_FAILS), Part.BRAKE, "does the cylinder move, against a mark on it?"),
     Clue(Part.BRAKE, "The closed brake lets the load down: {fault_words}.",
         f"{_STAY} rigctl carry has the motor hold the load, rigctl lower lowers it.", _always,
-        frozenset({_F.STROKE_MOVES, _F.BRAKE_SLIPS})),
+        having(Trait.BRAKE_FAILS)),
     Clue(Part.ENCODER, "Holding the stroke takes ever more correction: the encoder drifts, or the drive creeps.",
         f"{_STAY} Read the drive's display.", _always, frozenset({_F.POSITION_DRIFTS}), Part.DRIVE,
         "has the load moved, against a mark on the cylinder?"),

@@ -135,7 +135,6 @@ _LASTING = ("EMERGENCY", "STROKE", "ENDING")
 """Of these: active until an event of severity info."""
 _ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
 _ENDS = ("CAUSE_OVER", "LIMIT_OVER")
-_PER_ROW = (Fault.LIMIT, Fault.LIMIT_UNSEEN)  # one cause for each row of the rig file's limits
 _NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|times|s)\b)?"
 _STEPS = re.compile(r"[:;,] (?:start the daemon anew|find who commands the drive).*", re.DOTALL)
 _SHELVED = re.compile(r"(\d{1,6}) s: (.*)", re.DOTALL)
@@ -170,7 +169,11 @@ def cause_of(event: dict[str, Any]) -> str:
         fault = fault_of(event.get("a"))
         if fault is Fault.NONE:
             return ""
-        return f"{fault.name} {event.get('about')}" if fault in _PER_ROW and event.get("about") else fault.name
+        return (
+            f"{fault.name} {event.get('about')}"
+            if Trait.OF_RIG_FILE in fault.traits and event.get("about")
+            else fault.name
+        )
     if kind == "EMERGENCY":
         return f"EMERGENCY node {event.get('a')}"
     return str(kind) if kind in _OTHERS else ""

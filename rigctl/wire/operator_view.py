@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.quantity import count, number
-from rigctl.control.faults import Fault, Trait
+from rigctl.control.faults import Fault, Trait, having
 from rigctl.control.modes import PowerOff, Refusal
 from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.table import suspects
@@ -86,8 +86,8 @@ _DOES = {
     "FAULT": "stroke to be held: {held}",
 }
 _ON_MOTOR = ("MOTOR", "TAKING", "NOTHING")
-_SLIPPING = frozenset({"STROKE_MOVES", "BRAKE_SLIPS", "LOAD_SINKS"})
-_SAID = frozenset({*_SLIPPING, "E_STOP", "STROKE_JUMPED", "DRIVE_FAULT"})
+_SINKING = frozenset(fault.name for fault in having(Trait.LOAD_SINKS))
+_SAID = frozenset({*_SINKING, "E_STOP", "STROKE_JUMPED", "DRIVE_FAULT"})
 """Causes with steps of their own."""
 _SILENT = "Every device is silent: check the bus, its interface and the devices' power, away from the load."
 _RESET_SAID = re.compile(r"[,;]? (?:then reset|before a reset|before tensioning again|no reset while it sinks)")
@@ -296,7 +296,7 @@ def _after_fault(
         steps.append(Instruction(_sentence(str(culprit["question"])), places=parts))
     steps += _of_other_causes(state, causes, parts if culprit.get("first") else ())
     carried = reason_now(state, "reset") == Refusal.CARRIED.name
-    if (carried or any(cause.fault in _SLIPPING for cause in causes)) and not verbs["lower"]:
+    if (carried or any(cause.fault in _SINKING for cause in causes)) and not verbs["lower"]:
         steps.append(Instruction("LOWER has the motor lower the load.", "lower"))
     if entry == LOCK_OUT_FIRST:
         steps.append(Instruction("See that the hall is empty; take the lock-out off."))
@@ -381,7 +381,7 @@ def _entry(state: dict[str, Any], flags: list[str], lock_out: str) -> tuple[str,
     if "drive_enabled" in flags:
         return KEEP_OUT, "the drive is on, the stroke may move at any time"
     named = {str(state.get("fault")), *(str(cause.get("fault")) for cause in _active(state))}
-    if named & _SLIPPING or BRAKE_FAILS in flags:
+    if named & _SINKING or BRAKE_FAILS in flags:
         return KEEP_OUT, f"the brake does not hold the load: {held(state)}"
     unsafe = isinstance(state.get("slack_s"), int | float) or state.get("power_off") in _NOT_SHOWN
     if state.get("held_by") not in ("BRAKE", None) or unsafe:

@@ -4,27 +4,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.control.faults import Fault, bits_of
+from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.diagnosis.part import FROM_BUS, Part
 
 DEVICES = ("tension", "drive", "inclination")
 """The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""
-DOUBTED_BY: dict[str, frozenset[Fault]] = {
-    "tension": frozenset(
-        {Fault.CELL_STALE, Fault.CELL_INVALID, Fault.CELL_STUCK, Fault.CELL_NOISY, Fault.CELL_NEGATIVE,
-         Fault.CELL_FROZEN, Fault.SIGN_CELL, Fault.BUS_SILENT, Fault.SYNC_LOST}
-    ),
-    "drive": frozenset(
-        {Fault.DRIVE_STALE, Fault.DRIVE_CONTRADICTS, Fault.ENCODER_STUCK, Fault.STROKE_JUMPED, Fault.BUS_SILENT,
-         Fault.SYNC_LOST}
-    ),
-    "inclination": frozenset(
-        {Fault.INCLINATION_STALE, Fault.INCLINATION_INVALID, Fault.BUS_SILENT, Fault.SYNC_LOST}
-    ),
-}  # fmt: skip
+DOUBTED_BY = {
+    "tension": having(Trait.HIDES_TENSION),
+    "drive": having(Trait.HIDES_DRIVE),
+    "inclination": having(Trait.HIDES_INCLINATION),
+}
 """Causes that make a device's value untrustworthy although its samples may arrive, and be good each by itself."""
-_UNTIL_RESET = frozenset({Fault.CELL_FROZEN, Fault.ENCODER_STUCK, Fault.SIGN_CELL})
-"""Judged once, by a motion: in doubt for as long as they are latched."""
+_UNTIL_RESET = having(Trait.HIDES_UNTIL_RESET)
 DEVICE_OF = {
     "tension_n": "tension", "vertical_n": "tension", "error_n": "tension", "error_pct": "tension",
     "stroke_mm": "drive", "speed_mm_s": "drive", "tangential_deg": "inclination", "normal_deg": "inclination",
