@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from rigctl.config.canopen import VELOCITY_ACTUAL, VELOCITY_ACTUAL_16
-from rigctl.config.settings_base import CanopenDevice, Hexadecimal, NodeId, PdoNumber, require
+from rigctl.config.settings_base import CanopenDevice, Hexadecimal, NodeId, PdoNumber, Waiver, require
 
 _LARGEST_RAW = 2**31 - 1  # 0x6064, 0x60FF are INTEGER32
 _LARGEST_UNSIGNED = 2**32 - 1  # 0x6085 is UNSIGNED32
@@ -25,8 +25,8 @@ class CylinderSettings(CanopenDevice):
     brake_test: bool = Field(
         default=True, description="arming a loaded rope waits 2 s on the closed brake, the stroke must not move"
     )
-    brake_waiver: str | None = Field(
-        default=None, min_length=10, description="why the cylinder needs no holding brake, in words; null = it has one"
+    brake_waiver: Waiver = Field(
+        default=None, description="why the cylinder needs no holding brake, in words; null = it has one"
     )
     stroke_min_mm: float = Field(ge=-2000, le=2000, description="lowest stroke commanded (positive = shorter rope)")
     stroke_max_mm: float = Field(ge=-2000, le=2000, description="highest stroke commanded")
@@ -50,8 +50,8 @@ class CylinderSettings(CanopenDevice):
     absolute_encoder: bool = Field(
         default=True, description="keeps its position without power; false = the stroke is confirmed at every start"
     )
-    stroke_waiver: str | None = Field(
-        default=None, min_length=10, description="why a start may arm on a stroke that is not the last known, in words"
+    stroke_waiver: Waiver = Field(
+        default=None, description="why a start may arm on a stroke that is not the last known, in words"
     )
 
     position_pdo: PdoNumber = Field(default=1, description="TPDO with statusword and position (0x6041, 0x6064)")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from rigctl.config.settings_base import Settings
+from rigctl.config.settings_base import Settings, Waiver
 
 
 class DesignSettings(Settings):
@@ -20,7 +20,7 @@ class DesignSettings(Settings):
         le=100,
         description="rms of the command from the cell's noise that an optimised design may have",
     )
-    waiver: str | None = Field(default=None, min_length=10, description="why a design above ms_max may run, in words")
+    waiver: Waiver = Field(default=None, description="why a design above ms_max may run, in words")
     gains_file: str | None = Field(default=None, min_length=1, description="from `rigctl tune --gains`, null = none")
     identify_days: int = Field(default=180, ge=1, le=3650, description="an identification is believed for this long")
     identified_error_factor: float = Field(

@@ -31,7 +31,7 @@ from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.sensor_sections import InclinometerSettings, PlainMessages, TensionCellSettings
-from rigctl.config.settings_base import CanopenDevice, Settings, require
+from rigctl.config.settings_base import CanopenDevice, Settings, Waiver, require
 from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.config.telemetry_section import TelemetrySettings
@@ -50,8 +50,8 @@ class LoopSettings(Settings):
     priority: int = Field(default=80, ge=0, le=98, description="SCHED_FIFO priority, 0 = normal scheduling")
     cpu: int | None = Field(default=None, ge=0, le=1023, description="processor the loop is pinned to, null = any")
     lock_memory: bool = Field(default=True, description="mlockall, so that no tick waits for a page")
-    realtime_waiver: str | None = Field(
-        default=None, min_length=10, description="why it may arm where these are refused by the system, in words"
+    realtime_waiver: Waiver = Field(
+        default=None, description="why it may arm where these are refused by the system, in words"
     )
 
     @model_validator(mode="after")
@@ -123,8 +123,8 @@ class SafetySettings(Settings):
         description="name of the switch that locks the drive out before somebody walks in, as it is marked in the "
         "hall, and what it leaves powered: Q1 (24 V stays on)",
     )  # fmt: skip
-    waiver: str | None = Field(
-        default=None, min_length=10, description="why settings may be out of the bounds physics give them, in words"
+    waiver: Waiver = Field(
+        default=None, description="why settings may be out of the bounds physics give them, in words"
     )
 
 
@@ -146,7 +146,7 @@ class CalibrationSettings(Settings):
     tolerance_pct: float = Field(default=0.5, gt=0, le=5, description="largest deviation from the reference")
     tare_days: int = Field(default=30, ge=1, le=3650, description="a tare holds for this long")
     tare_limit_n: float = Field(default=10.0, gt=0, le=1000, description="largest zero a tare may set")
-    waiver: str | None = Field(default=None, min_length=10, description="why it may arm uncalibrated, in words")
+    waiver: Waiver = Field(default=None, description="why it may arm uncalibrated, in words")
 
 
 class PreflightSettings(Settings):

@@ -20,6 +20,8 @@ Hexadecimal = Annotated[int, BeforeValidator(_from_hexadecimal, json_schema_inpu
 """A number given in hexadecimal by data sheets: quoted, as strict YAML has no such numbers, or an integer."""
 PdoNumber = Annotated[int, Field(ge=1, le=4, description="number of the PDO")]
 NodeId = Annotated[int, Field(ge=1, le=127, description="CANopen node id")]
+Waiver = Annotated[str, Field(min_length=10)] | None
+"""Why the rig may go without what the rig file otherwise demands, in words; null = it does not."""
 
 
 class Settings(BaseModel):

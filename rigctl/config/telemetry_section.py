@@ -7,7 +7,7 @@ from typing import Annotated
 from pydantic import Field, model_validator
 
 from rigctl.config import address
-from rigctl.config.settings_base import Settings, require
+from rigctl.config.settings_base import Settings, Waiver, require
 
 # Without # and ?, behind which Zenoh takes settings that would overrule those of the daemon.
 _LISTEN = r"^(tcp|tls|unixsock-stream)/[^\s#?]+$"
@@ -26,8 +26,8 @@ class TelemetrySettings(Settings):
 
     listen: str = Field(default="tcp/127.0.0.1:7447", pattern=_LISTEN, description="endpoint")
     tls: TlsSettings | None = Field(default=None, description="certificates, for listen: tls/HOST:PORT")
-    listen_waiver: str | None = Field(
-        default=None, min_length=10, description="why other computers may reach it without certificates, in words"
+    listen_waiver: Waiver = Field(
+        default=None, description="why other computers may reach it without certificates, in words"
     )
     join: list[Annotated[str, Field(pattern=_JOIN)]] = Field(
         default_factory=list, max_length=8, description="other routers to be one network with: rigs side by side"
