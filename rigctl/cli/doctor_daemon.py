@@ -22,7 +22,6 @@ TITLES: dict[Check, str] = {
     Check.CELL_STALE: "cell: fresh samples",
     Check.CELL_INVALID: "cell: valid, not overloaded",
     Check.CELL_IMPLAUSIBLE: "cell: plausible",
-    Check.CELL_ZERO: "cell: zero as tared",
     Check.SECOND_FORCE: "second force path: comes, has a zero",
     Check.FORCES_DISAGREE: "second force path: agrees with the cell",
     Check.INCLINATION_STALE: "inclination: fresh samples",
@@ -63,7 +62,7 @@ _OF_FITTED = {
 """Checks of a section, or of a key in it, that not every rig file has."""
 _SEEN_BY: dict[Check, Check] = {
     **dict.fromkeys(
-        (Check.CELL_INVALID, Check.CELL_IMPLAUSIBLE, Check.CELL_ZERO, Check.TENSION_HIGH), Check.CELL_STALE
+        (Check.CELL_INVALID, Check.CELL_IMPLAUSIBLE, Check.TENSION_HIGH), Check.CELL_STALE
     ),
     Check.FORCES_DISAGREE: Check.SECOND_FORCE,
     Check.INCLINATION_INVALID: Check.INCLINATION_STALE,

@@ -25,15 +25,6 @@ class CompensationSettings(Settings):
     zero_u_n_k: float | None = Field(
         default=None, ge=0, le=1, description="its expanded uncertainty (k = 2), with zero_n_k"
     )
-    slack_zero: Literal["off", "check", "correct"] = Field(
-        default="check", description="zero seen while the rope is surely slack: compared, or also put in force"
-    )
-    slack_zero_limit_n: float = Field(
-        default=0.3,
-        gt=0,
-        le=10,
-        description="largest zero so found; beyond it nothing is corrected, and a slack rope arms after a tare only",
-    )
 
     @model_validator(mode="after")
     def _coefficient_is_whole(self) -> CompensationSettings:

@@ -81,7 +81,6 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("crept_1_n", "d", "N", "the load as the first term of the creep has followed it; NaN without a creep"),
     Signal("crept_2_n", "d", "N", "the same of the second term"),
     Signal("zero_drift_n", "d", "N", "the zero's drift with temperature since the tare, taken out of the reading"),
-    Signal("slack_zero_n", "d", "N", "zero found on the slack rope beside tare and drift, taken out of the reading"),
     Signal("cell_temperature_c", "d", "deg C", "temperature that the zero follows; NaN while it is not known"),
     Signal("tension_age_ns", "q", "ns", _AGE,
            limit=Reading(13, "cell_age_ms", "ms", "age of the newest tension sample", "cell_age_ns", factor=1e-6)),

@@ -71,11 +71,10 @@ class _Creep:
 
 
 class CellCorrection:
-    """Zero, drift, slack zero, scale and creep; without a ``compensation`` section zero and scale alone.
+    """Zero, drift, scale and creep; without a ``compensation`` section zero and scale alone.
 
-    ``zero_drift_n`` and ``slack_zero_n``: parts of the zero beside the tare's, in N of the reading; ``zero_found_n``:
-    what the last slack rope showed of it, in force or not. ``creep_n``: creep taken out, in N of tension.
-    ``temperature_c``: of the cell, low-passed; NaN before it is known.
+    ``zero_drift_n``: part of the zero beside the tare's, in N of the reading. ``creep_n``: creep taken out, in N of
+    tension. ``temperature_c``: of the cell, low-passed; NaN before it is known.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -84,9 +83,8 @@ class CellCorrection:
         self._drifts_on = section is not None and section.temperature is not None
         self._zero_limit_n = settings.tare_limit_n
         self._largest_n = settings.tension.target_max_n
-        self.slack_zero_limit_n = section.slack_zero_limit_n if section is not None else 0.0
         self.correction = Correction()
-        self.zero_drift_n = self.slack_zero_n = self.zero_found_n = self.creep_n = 0.0
+        self.zero_drift_n = self.creep_n = 0.0
         self.temperature_c = math.nan
         self._temperature_t_ns = 0
         self.offset_n, self.scale = 0.0, 1.0
@@ -195,33 +193,15 @@ class CellCorrection:
         self._temperature_t_ns = t_ns
         self._set_drift()
 
-    def see_slack_zero(self, tension_n: float, *, correct: bool) -> bool:
-        """Take the tension that the surely unloaded cell reads; ``correct``: as a zero, if that is within its limit.
-
-        ``zero_found_n`` is this zero, in N of the reading beside tare and drift. Returns whether it is in force.
-        """
-        self.zero_found_n = self.slack_zero_n + tension_n / self.scale
-        applied = correct and abs(self.zero_found_n) <= self.slack_zero_limit_n
-        if applied:
-            self.slack_zero_n = self.zero_found_n
-            self._set_drift()
-        return applied
-
-    def forget_slack_zero(self) -> None:
-        """A tare has it in itself."""
-        self.zero_found_n = self.slack_zero_n = 0.0
-        self._set_drift()
-
     def _set_drift(self) -> None:
-        """The zero in force: all its parts together stay within the limit of a tare."""
+        """The zero in force: with its drift it stays within the limit of a tare."""
         correction = self.correction
         drift_n = 0.0
         if self._drifts_on and correction.zero_c is not None and not math.isnan(self.temperature_c):
             drift_n = correction.zero_n_k * (self.temperature_c - correction.zero_c)
-        beside_n = drift_n + self.slack_zero_n
-        if beside_n == 0.0:
+        if drift_n == 0.0:
             self.zero_drift_n, self.offset_n = 0.0, correction.zero_n
             return
         limit_n = self._zero_limit_n
-        self.offset_n = max(-limit_n, min(limit_n, correction.zero_n + beside_n))
+        self.offset_n = max(-limit_n, min(limit_n, correction.zero_n + drift_n))
         self.zero_drift_n = drift_n

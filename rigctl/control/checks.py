@@ -188,12 +188,6 @@ class Check(IntFlag):
         ),
     )
 
-    # The zero that a slack rope showed is further from the tare's than may be corrected
-    CELL_ZERO = (
-        1 << 33,
-        "tension cell's zero has moved (see the events): rigctl tare with the rope unloaded",
-    )
-
     # The second force path sends nothing good, or no tare has given it a zero
     SECOND_FORCE = (
         1 << 34,

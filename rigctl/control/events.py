@@ -61,7 +61,6 @@ class Kind(IntEnum):
     BRAKE_TEST = 55  # a: 1 held, 0 not possible on a slack rope, value: stroke moved in mm, limit: tension in N
     LOAD_STEP = 71  # a: samples, b: cell's temperature in mK (0: not known), value: their mean reading in N,
     # limit: their mean time after the load's step in s, negative before it, text: rms of the reading in N
-    SLACK_ZERO = 72  # a: 1 in force now, 0 only seen, b: samples, value: zero in N beside tare and drift, limit
     SECOND_FORCE = 73  # zero and scale of the second force path in force; value: zero in N, limit: scale
     CREEP = 70  # a: 1 the load's history is known, 0 assumed, value: whole share of the load, text: shares, times in s
     MOVE = 80  # a: number of the move that begins, 0: the one under way has ended, b: moves its table was learnt from
@@ -472,13 +471,6 @@ def _escalation(a: int, b: int, value: float, limit: float, text: str) -> Worded
     return Worded("error", f"{Fault(a).name}, reaction did not help: {words}")
 
 
-def _slack_zero(a: int, b: int, value: float, limit: float, _text: str) -> Worded:
-    seen = f"slack rope: the cell reads {value:+z.4f} N beside its zero, mean of {count(b, 'sample')}"
-    if abs(value) > limit:
-        return Worded("warning", f"{seen}; more than {limit:.3f} N: nothing is corrected, tare the cell (rigctl tare)")
-    return Worded("info", f"{seen}; {'taken out from now on' if a else 'not corrected'}")
-
-
 def _brake_fails(*, assumed: bool, tension_n: float, wanted_n: float, why: str) -> str:
     seen = "the brake counts as one that does not hold" if assumed else "the brake does not hold"
     load = f", {tension_n:.0f} N on the rope" if tension_n else ""
@@ -575,7 +567,6 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.CORRECTION: lambda _a, _b, v, m, _t: Worded("info", f"tension cell: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.SECOND_FORCE: lambda _a, _b, v, m, _t: Worded("info", f"second force path: zero {v:+z.3f} N, scale {m:.5f}"),
     Kind.CREEP: _creep,
-    Kind.SLACK_ZERO: _slack_zero,
     Kind.LOAD_STEP: lambda a, _b, v, m, _t: Worded(
         "info", f"creep: {count(a, 'sample')}, mean {v:.4f} N, {m:.1f} s after the load's step"
     ),

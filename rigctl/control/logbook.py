@@ -123,7 +123,6 @@ class Logbook:
         values.creep_n = measured.creep_n
         values.crept_1_n, values.crept_2_n = measured.crept
         values.zero_drift_n = measured.zero_drift_n
-        values.slack_zero_n = measured.slack_zero_n
         values.cell_temperature_c = measured.temperature_c
         values.tension_age_ns = snapshot.cell_age_ns
         values.tension_quality = inbox.cell_quality | (0 if snapshot.cell_heard else _STALE)

@@ -40,7 +40,6 @@ from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.situation import Witness
-from rigctl.control.slack_zero import SlackWatch
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
@@ -110,9 +109,6 @@ class Loop:
         self.learning = MoveLearning(settings, self.law) if settings.learning is not None else None
         self._signs = SignCheck(settings)
         self._stroke_hold, self._held_tension = StrokeHold(settings), HeldTension(settings)
-        slack_zero = settings.compensation.slack_zero if settings.compensation is not None else "off"
-        self._slack_watch = SlackWatch(settings) if slack_zero != "off" else None
-        self._corrects_zero = slack_zero == "correct"
         frequency_trial.prepare(settings)
         self._preload = Preload(settings)
         self._probe = (
@@ -199,8 +195,6 @@ class Loop:
             if found is not None:
                 self._logbook.stroke(now_ns, found)
         self._watch_stroke(now_ns)
-        if self._slack_watch is not None:
-            self._look_at_zero(self._slack_watch, now_ns)
         if not self._signs.passed and machine.mode is Mode.TENSIONING:
             self._check_signs(now_ns)
         observer.look_at_control(t_ns, self._commanded_ns, self._travel_from)
@@ -538,15 +532,6 @@ class Loop:
             self._held_tension.watch(snapshot, 1 + self.observer.just_skipped, latched=latched)
             if machine.mode is Mode.DISARMED and not machine.taking:  # hands have lifted it off the brake: no loss
                 self._held_tension.lost = False
-
-    def _look_at_zero(self, watch: SlackWatch, now_ns: int) -> None:
-        """Compare the cell's zero with what a surely slack rope shows, and correct it if the rig file says so."""
-        found = watch.look(self.inbox, self.machine.mode, now_ns)
-        if found is not None:
-            cell = self.inbox.cell
-            applied = cell.see_slack_zero(found.tension_n, correct=self._corrects_zero)
-            limit_n = cell.slack_zero_limit_n
-            self._logbook.event(now_ns, Kind.SLACK_ZERO, int(applied), found.samples, cell.zero_found_n, limit_n)
 
     def _correction(self, *, powered: bool) -> float:
         """Speed in mm/s that brings a held stroke back to its latch."""

@@ -507,7 +507,7 @@ ENDS_PENDING = frozenset({Verb.ARM, Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_M
 CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
 """Commands for a load that the brake does not hold."""
 
-AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.CELL_ZERO | Check.SECOND_FORCE
+AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.SECOND_FORCE
 """Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
 _BARS_CARRY = Check.E_STOP | Check.E_STOP_IO | Check.DRIVE_STALE | Check.RIVAL
 """Checks that bar a motor from carrying a load that its brake does not hold; all else concerns other motion."""

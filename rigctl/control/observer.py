@@ -240,7 +240,6 @@ class Observer:
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         snapshot.slope_words = self._signs.words
-        snapshot.zero_found_n = self.inbox.cell.zero_found_n
         self.look_at_settings()
 
     @property

@@ -568,8 +568,6 @@ class Orders:
             return Refusal.OUT_OF_RANGE
         if not math.isnan(overdue):
             self.overdue = overdue != 0.0
-        if "zero_n" in values:
-            inbox.cell.forget_slack_zero()
         self.correct(wanted, t_ns)
         return Refusal.NONE
 

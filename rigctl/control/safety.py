@@ -259,7 +259,6 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.OVERRUN, FieldValue("skipped_in_window"), s.overrun_ticks - 1, 0, _ARMED, "ticks"),
         *_rail_rows(settings),
         *_warmth_rows(settings),
-        *_zero_rows(settings),
         *_second_rows(settings),
     )  # fmt: skip
 
@@ -292,24 +291,6 @@ def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.LIMIT, _in_ms(age), limit_ns / _MS, 0, _ARMED, "ms", Action.LOG, f"{name} above")
         for name, age, limit_ns in ages
     )
-
-
-def _zero_limit_n(settings: RigSettings) -> float:
-    """Largest zero that a slack rope may show; none without the section."""
-    return settings.compensation.slack_zero_limit_n if settings.compensation is not None else math.inf
-
-
-def _may_be_slack(snapshot: Snapshot, settings: RigSettings) -> bool:
-    """Whether the rope may be slack, so that a tare is possible now; a load is released first."""
-    return not snapshot.reading_n > settings.slack_reading_n
-
-
-def _zero_rows(settings: RigSettings) -> tuple[Row, ...]:
-    """A zero that moved is logged at once, and bars arming with a slack rope (`Check.CELL_ZERO`); a move goes on."""
-    if settings.compensation is None:
-        return ()
-    limit_n = _zero_limit_n(settings)
-    return (Row(Fault.LIMIT, _size("zero_found_n"), limit_n, 0, _ARMED, "N", Action.LOG, "slack_zero_n above"),)
 
 
 def _second_rows(settings: RigSettings) -> tuple[Row, ...]:
@@ -644,7 +625,6 @@ def preflight(
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,
         Check.ENABLE_IGNORED: Fault.ENABLE_IGNORED in beyond,
-        Check.CELL_ZERO: abs(snapshot.zero_found_n) > _zero_limit_n(settings) and _may_be_slack(snapshot, settings),
         Check.SECOND_FORCE: _second_lost(snapshot, settings),
         Check.FORCES_DISAGREE: Fault.FORCES_DISAGREE in beyond,
         Check.NODE_NOT_OPERATIONAL: Fault.NODE_NOT_OPERATIONAL in beyond,

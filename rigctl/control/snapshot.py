@@ -74,7 +74,6 @@ class Snapshot:
     torque_off: bool = False  # the drive's STO feedback at the I/O node shows it without torque, by a fresh input
     enable_ignored: bool = False  # that feedback is not as the drive's hard-wired enable should have it
     status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
-    zero_found_n: float = 0.0  # of the cell beside tare and drift, on the last slack rope
     warmth_age_ns: int = 1 << 62  # of the cell's temperature, where it comes from the cell
     force_gap_n: float = 0.0  # second force path less cell, low-passed; where one is fitted, as the next three
     second_age_ns: int = 1 << 62

@@ -1,7 +1,7 @@
 """The tension cell's systematic errors at the target, which no control law can detect: expanded uncertainties (k = 2).
 
 `budget` is that of the cell's class; `compensated` puts in its place what this rig has measured and takes out: zero
-from tare or slack rope, scale from a known weight, creep and drift by their models. What was not measured stays as it
+from the tare, scale from a known weight, creep and drift by their models. What was not measured stays as it
 is in the class.
 """
 
@@ -18,14 +18,11 @@ from rigctl.commission.cell_uncertainty import (
     GAIN_PCT_K,
     TEMPERATURE_N_H,
     WARMING_H,
-    mean_u_n,
 )
 from rigctl.config.settings import RigSettings
-from rigctl.control.slack_zero import REST_S
 from rigctl.ipc.ledger import Standing, moment
 
 WARMING_K_H = 1.0  # of a hall
-SLACK_H = 1.0  # between two slack ropes: a move and its preparation
 SPAN_K = 5.0  # between the cell's temperature at its calibration and now
 REPEATED_PCT = 0.01  # of the load, data sheets of class C3: a load that comes back
 """What is left of linearity and hysteresis where the scale is from a weight near the target, hung as the rope pulls."""
@@ -59,24 +56,16 @@ def compensated(
     target_n = rig.tension.target_n if target_n is None else target_n
     found = {error.name: error for error in budget(rig, target_n)}
     section = rig.compensation
-    slack = section is not None and section.slack_zero == "correct"
     known_creep = section is not None and section.creep and bool(standing.creep) and standing.creep_u is not None
     creep_u = standing.creep_u if known_creep and standing.creep_u is not None else None
-    zeroed = None if slack else _hours_since_tare(standing, at or datetime.now(UTC))
-    if slack:
-        mean_n = mean_u_n(rig.tension_cell.noise_n, REST_S * rig.loop.rate_hz)
-        left_n = target_n * (CREEP_PCT / 100 if creep_u is None else creep_u)
-        found["bias"] = Error("bias", math.hypot(mean_n, left_n), "zero of the slack rope, and creep left from before")
-    elif standing.zero_u_n is not None and zeroed is not None and zeroed <= WARMING_H:
+    zeroed = _hours_since_tare(standing, at or datetime.now(UTC))
+    if standing.zero_u_n is not None and zeroed is not None and zeroed <= WARMING_H:
         found["bias"] = Error("bias", standing.zero_u_n, f"tare of {standing.tared}")
     followed = section is not None and section.temperature is not None and standing.zero_u_n_k is not None
-    hours = SLACK_H if slack else WARMING_H
-    since = f"{hours:g} h, from one {'slack rope' if slack else 'tare'} to the next"
     if followed and standing.zero_u_n_k is not None:
-        drift_n, per = standing.zero_u_n_k * WARMING_K_H * hours, f"{standing.zero_u_n_k:.2g} N/K left, {since}"
+        drift_n = standing.zero_u_n_k * WARMING_K_H * WARMING_H
+        per = f"{standing.zero_u_n_k:.2g} N/K left, {WARMING_H:g} h, from one tare to the next"
         found["drift"] = Error("drift", drift_n, per)
-    elif slack:
-        found["drift"] = Error("drift", TEMPERATURE_N_H * hours, f"{TEMPERATURE_N_H:g} N/h for {since}")
     if creep_u is not None:
         seen = "" if standing.creep_seen_s is None else f", recorded for {standing.creep_seen_s / 60:.0f} min"
         found["creep"] = Error("creep", target_n * creep_u, f"left of the model{seen}")

@@ -59,8 +59,6 @@ KINDS: dict[Kind, str] = {
     "3 multisine too weak, 4 multisine not at its level)",
     Kind.MARGINS_DIFFER: "the sensitivity measured in the last minute is not one of the design's family; value: |S| as "
     "measured, limit: the nearest predicted",
-    Kind.SLACK_ZERO: "zero of the cell on a surely slack rope; a: 1 in force from now on, 0 only seen, b: samples, "
-    "value: it in N beside tare and drift, limit: the largest that may be in force",
     Kind.LOAD_STEP: "part of a record of the cell's creep; a: samples, b: temperature of the cell in mK, 0 for not "
     "known, value: their mean reading in N, limit: their mean time after the load's step in s, negative before it, "
     "text: rms in N",

@@ -33,7 +33,6 @@ class Commissioned:
         """Of the unloaded cell."""
         bench = self.bench
         measured = self._measured(bench.average())
-        bench.cell.forget_slack_zero()
         self._file(findings.tare(bench.settings, Request(Verb.TARE, OPERATOR), self.standing, measured, self.entries))
 
     def record_creep(self, seconds: float, weight_n: float) -> None:
@@ -52,10 +51,6 @@ class Commissioned:
         """Against the weight that hangs; the scale is adopted."""
         bench, request = self.bench, Request(Verb.CALIBRATE, OPERATOR, adopt=True)
         self._file(findings.calibrate(bench.settings, request, self.standing, self._measured(bench.average())))
-
-    def see_slack_rope(self) -> None:
-        """What `rigctl.control.slack_zero` finds on a slack rope: the mean of a second."""
-        self.bench.cell.see_slack_zero(self.bench.mean_n(1.0), correct=True)
 
     def _file(self, finding: CalibrationFinding, held_s: float = math.nan) -> None:
         """Put a finding on the ledger and in force; ``held_s``: time since the load of an adopted creep came."""

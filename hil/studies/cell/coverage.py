@@ -18,18 +18,18 @@ from rigctl.commission.cell_uncertainty import WARMING_H
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.report import sensor_budget
-from rigctl.report.sensor_budget import SLACK_H, WARMING_K_H
+from rigctl.report.sensor_budget import WARMING_K_H
 
 STATED = 0.95  # of k = 2
 LONGEST_S, SHORTEST_S = 1800.0, 10.0
 """Time under load at which the error is looked at, drawn evenly on a logarithmic scale."""
 SEASON_K = 3.0  # of the cell's temperature from its calibration to the shift, at most
 BATCH = 10
-UNCORRECTED, TARED, SLACK = "class", "tare", "slack rope"
+UNCORRECTED, CALIBRATED, COMPENSATED = "class", "calibrated", "compensated"
 WAYS = {
     UNCORRECTED: "as it comes",
-    TARED: "compensated, tare",
-    SLACK: "compensated, slack rope",
+    CALIBRATED: "tared and calibrated",
+    COMPENSATED: "compensated as well",
 }
 
 
@@ -118,21 +118,19 @@ def cell(rig: RigSettings, drawn: DrawnCell) -> dict[str, Miss]:
     bare.wait(shift.hours * 3600.0, shift.warming_c_h)
     bare_error_n = _error_n(bare, target_n, shift.loaded_s)
     found = {UNCORRECTED: Miss(drawn.seed, bare_error_n, _class_n(rig))}
-    for way, slack_zero in ((TARED, "check"), (SLACK, "correct")):
-        made = drawn.settings(compensating(rig))
-        made = changed(made, {"compensation.slack_zero": slack_zero})
-        done = commission(drawn, CellBench(made), scatter[:-1])
-        found[way] = _work(done, shift, drawn.seed, scatter[-1], slack=way == SLACK)
+    made = drawn.settings(compensating(rig))
+    for way, settings in ((CALIBRATED, made.model_copy(update={"compensation": None})), (COMPENSATED, made)):
+        done = commission(drawn, CellBench(settings), scatter[:-1])
+        found[way] = _work(done, shift, drawn.seed, scatter[-1])
     return found
 
 
 class Shift(NamedTuple):
-    """What happens between commissioning and the look: hours, temperature, time on the slack rope, time under load."""
+    """What happens between commissioning and the look: hours, temperature, time under load."""
 
     season_k: float
     warming_c_h: float
     hours: float
-    slack_h: float
     loaded_s: float
 
     @staticmethod
@@ -141,12 +139,12 @@ class Shift(NamedTuple):
         loaded_s = math.exp(dice.uniform(math.log(SHORTEST_S), math.log(LONGEST_S)))
         return Shift(
             dice.uniform(-SEASON_K, SEASON_K), dice.uniform(-WARMING_K_H, WARMING_K_H),
-            dice.uniform(0.0, WARMING_H), dice.uniform(0.0, SLACK_H), loaded_s,
+            dice.uniform(0.0, WARMING_H), loaded_s,
         )  # fmt: skip
 
 
-def _work(done: Commissioned, shift: Shift, seed: int, scattered_n: float, *, slack: bool) -> Miss:
-    """A day later: tare, hours, a move before, the slack rope, and the move that is looked at."""
+def _work(done: Commissioned, shift: Shift, seed: int, scattered_n: float) -> Miss:
+    """A day later: tare, a move, hours, and the move that is looked at."""
     bench, target_n = done.bench, done.bench.settings.tension.target_n
     bench.wait(86_400.0)
     bench.celsius += shift.season_k
@@ -157,9 +155,6 @@ def _work(done: Commissioned, shift: Shift, seed: int, scattered_n: float, *, sl
     bench.wait(shift.loaded_s)
     bench.pull(0.0)
     bench.wait(shift.hours * 3600.0, shift.warming_c_h)
-    if slack:
-        done.see_slack_rope()
-        bench.wait(shift.slack_h * 3600.0, shift.warming_c_h)
     error_n = _error_n(bench, target_n, shift.loaded_s)
     at = datetime.fromtimestamp(bench.wall_ns / 1e9, UTC)
     stated = sensor_budget.compensated(bench.settings, done.standing, target_n, at)

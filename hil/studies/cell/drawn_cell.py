@@ -109,5 +109,5 @@ def compensating(rig: RigSettings) -> RigSettings:
     """The rig with everything that this release takes out of the cell's reading."""
     assert rig.calibration is not None  # the command refuses a rig without it
     weight = rig.calibration.model_copy(update={"reference_u_n": WEIGHT_U_N, "waiver": None})
-    section = CompensationSettings(temperature="cell", slack_zero="correct")
+    section = CompensationSettings(temperature="cell")
     return rig.model_copy(update={"calibration": weight, "compensation": section})

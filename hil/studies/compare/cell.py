@@ -46,8 +46,7 @@ def commissioned(rig: RigSettings) -> CommissionedCell:
 
 
 def _commissioned(rig: RigSettings, drawn: DrawnCell) -> tuple[float, CommissionedCell]:
-    section = changed(compensating(rig), {"compensation.slack_zero": "check"})
-    made = drawn.quickened(QUICKENED).settings(section)
+    made = drawn.quickened(QUICKENED).settings(compensating(rig))
     sign = 1.0 if drawn.bias_n > 0.0 else -1.0
     scatter = [sign * SCATTER_N * celsius / max(WEEK_C) for celsius in WEEK_C]
     done = commission(drawn, CellBench(made), [*scatter, -2.0 * sign * SCATTER_N], quickened=QUICKENED)

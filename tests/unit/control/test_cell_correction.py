@@ -18,7 +18,7 @@ from rigctl.ipc.correction import Correction, CreepTerm, creep_fits
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
-RIG = PAPER.model_copy(update={"compensation": CompensationSettings(temperature="drive", slack_zero="correct")})
+RIG = PAPER.model_copy(update={"compensation": CompensationSettings(temperature="drive")})
 S = 1_000_000_000
 CREEP = (CreepTerm(1.5e-4, 20.0), CreepTerm(-4e-5, 700.0))
 ROUNDING_N = 1e-9  # of doubles at 300 N, over thousands of steps
@@ -150,28 +150,13 @@ def test_the_zero_follows_the_temperature_through_a_low_pass() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_all_zeros_together_stay_within_the_limit_of_a_tare(sign: float) -> None:
+def test_zero_and_drift_together_stay_within_the_limit_of_a_tare(sign: float) -> None:
     assert RIG.calibration is not None
     limit_n = RIG.calibration.tare_limit_n
     correction = started(Correction(sign * 9.9, zero_c=20.0, zero_n_k=sign * 0.1))
     correction.feel(80.0, 0)
     assert correction.offset_n == sign * limit_n
-    assert correction.see_slack_zero(sign * 0.2, correct=True)
-    assert correction.slack_zero_n == sign * 0.2
     assert correction.tension_n(0.0, S) == -sign * limit_n
-
-
-def test_a_zero_on_the_slack_rope_is_in_force_only_as_a_correction_within_its_limit() -> None:
-    correction = started(Correction(0.1, 1.01))
-    assert not correction.see_slack_zero(0.202, correct=False)
-    assert (correction.zero_found_n, correction.slack_zero_n) == (pytest.approx(0.2), 0.0)
-    assert correction.see_slack_zero(0.202, correct=True)
-    assert correction.tension_n(0.3, S) == pytest.approx(0.0, abs=1e-12)
-    assert not correction.see_slack_zero(0.2, correct=True)  # together beyond 0.3 N
-    assert correction.slack_zero_n == pytest.approx(0.2)
-    assert correction.zero_found_n > correction.slack_zero_limit_n
-    correction.forget_slack_zero()
-    assert correction.offset_n == 0.1
 
 
 def test_a_creep_beyond_what_a_sound_cell_has_does_not_fit() -> None:
