@@ -47,6 +47,7 @@ class Trait(IntFlag):
 
 
 _NO_TRAIT = Trait(0)
+_HIDES_ALL = Trait.HIDES_TENSION | Trait.HIDES_DRIVE | Trait.HIDES_INCLINATION
 
 
 class Fault(IntEnum):
@@ -126,13 +127,7 @@ class Fault(IntEnum):
         9,
         "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
         "Check CAN interface, termination, device power.",
-        Trait.BLOCKS_RESET
-        | Trait.AGE
-        | Trait.DEVICE_SILENT
-        | Trait.STOPS_CARRYING
-        | Trait.HIDES_TENSION
-        | Trait.HIDES_DRIVE
-        | Trait.HIDES_INCLINATION,
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
     )
     OVERRUN = (
         10,
@@ -383,13 +378,7 @@ class Fault(IntEnum):
         55,
         "no device has answered SYNC for {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
         "Find what keeps SYNC from the devices (cable, gateway, 0x1005); the drive keeps its last speed without it.",
-        Trait.BLOCKS_RESET
-        | Trait.AGE
-        | Trait.DEVICE_SILENT
-        | Trait.STOPS_CARRYING
-        | Trait.HIDES_TENSION
-        | Trait.HIDES_DRIVE
-        | Trait.HIDES_INCLINATION,
+        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
     )
     # The feedback at io.drive_off_input is not as io.drive_enable_output should have it
     ENABLE_IGNORED = (
