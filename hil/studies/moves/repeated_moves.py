@@ -28,7 +28,8 @@ Floats = npt.NDArray[np.float64]
 
 SPRINGS_N_MM = (6.0, 34.0)
 START_S, SPARE_S = 0.5, 1.5
-CUTOFF_HZ = 2.0
+LEARNING = LearningSettings(move_s=9.5, cutoff_hz=2.0)
+"""As in `config/sets/learned_moves.yaml`."""
 MOVES = 5
 """The first begins with a plumb rope and differs; the table of the second is played in the third."""
 SEED = 14
@@ -143,8 +144,7 @@ def repeated(rig: RigSettings, variant: Variant, spring_n_mm: float) -> Repeated
     settings = changed(rig, {"plant.spring_n_mm": spring_n_mm})
     marks: list[tuple[float, int]] = []
     if variant.learns:
-        section = LearningSettings(move_s=one_s - SPARE_S, cutoff_hz=CUTOFF_HZ)
-        settings = settings.model_copy(update={"learning": section})
+        settings = settings.model_copy(update={"learning": LEARNING})
         late_s = np.random.default_rng(SEED).uniform(0.0, variant.late_s, variant.moves)
         marks = [(START_S + i * one_s + float(late), 1) for i, late in enumerate(late_s)]
     target_n = settings.tension.target_n

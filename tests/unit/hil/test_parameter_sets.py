@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from hil.cell.drawn_cell import compensating
+from hil.moves.repeated_moves import LEARNING
 from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
@@ -50,8 +51,9 @@ def test_every_set_is_valid_over_every_rig(name: str, rig: str) -> None:
     assert with_set(name, rig).model_dump(exclude={"directory", "plain"}) != before
 
 
-def test_the_study_of_the_cell_measures_what_its_set_switches_on() -> None:
+def test_the_studies_of_cell_and_moves_measure_what_the_sets_switch_on() -> None:
     assert with_set("compensated_cell").compensation == compensating(config.load(PAPER)).compensation
+    assert with_set("learned_moves").learning == LEARNING
 
 
 def test_the_ideal_rig_reports_the_truth() -> None:
