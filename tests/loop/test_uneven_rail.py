@@ -8,21 +8,23 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
-from hil.plant.layout import MECHANISM, RUN_OUT
-from hil.scenario import disturbances, kinds
+from hil.scenario.case import load
+from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
 from hil.wire import FRAME
-from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
+from rigctl.config.rail_sections import RunOutSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.ipc.record import Quality
+from tests.builders.paths import ROOT
 from tests.builders.rig_bench import changed
 
-ENCODER = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
-TABLE = RunOutSettings(angle_min_deg=-3.0, angle_max_deg=16.0, bins=76, learning_rate=0.5)
+SHIPPED = with_set(ROOT / "config/paper_rig.yaml", ROOT / "config/sets/rail_encoder.yaml")
+assert SHIPPED.rail_encoder is not None and SHIPPED.run_out is not None
+ENCODER, TABLE = SHIPPED.rail_encoder, SHIPPED.run_out
 NODE = ENCODER.node
 
 
@@ -39,27 +41,21 @@ def compensate(rig: Lockstep) -> None:
 
 
 def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSettings, gains: Gains) -> None:
-    move = kinds.OutAndBack(
-        kind="out_and_back", angle_deg=13.0, speed_deg_s=6.0, acceleration_deg_s2=12.0, start_s=0.5, dwell_s=1.5,
-        repeats=4,
-    )  # fmt: skip
-    # 0.07 mm over 3 deg is 8 mm/rad: on a steeper rail, with its friction of 0.012, the pulley would roll downhill
-    rail = disturbances.level_wave(kinds.LevelWave(kind="sine", amplitude_mm=0.07, period_deg=3.0))
-    tracks = {MECHANISM: disturbances.rotation(move), RUN_OUT: rail}
-    one_s = (tracks[MECHANISM].end + move.dwell_s - move.start_s) / move.repeats
+    """With the shipped set in the shipped scenario; it has to take a fifth away to be worth its code."""
+    case = load(ROOT / "config/scenarios/uneven_rail.yaml")
 
     def rms_by_move(rig: RigSettings) -> list[float]:
-        seconds = move.start_s + move.repeats * one_s
-        run = play(rig, tracks, seconds=seconds, controller="loop", target_n=300.0, gains=gains)
+        run = play(rig, case.tracks, seconds=case.scenario.duration_s, controller="loop", target_n=300.0, gains=gains)
         assert not run.ended.tripped
         error = run.truth["vertical_n"] - 300.0
-        index = ((run.t_s - move.start_s) // one_s).astype(int)
-        return [float(np.sqrt(np.mean(error[index == i] ** 2))) for i in range(move.repeats)]
+        spans = [case.scenario.windows[name] for name in ("first_move", "last_move")]
+        within = [(run.t_s >= span.from_s) & (run.t_s <= span.to_s) for span in spans]
+        return [float(np.sqrt(np.mean(error[inside] ** 2))) for inside in within]
 
-    without, learning = rms_by_move(settings), rms_by_move(fitted(settings))
+    without, learning = rms_by_move(settings), rms_by_move(case.settings)
     assert learning[0] == pytest.approx(without[0], rel=0.02)  # the table is empty on the first move
-    assert learning[-1] < 0.6 * learning[0]
-    assert learning[-1] < 0.7 * without[-1]
+    assert learning[1] < 0.6 * learning[0]
+    assert learning[1] < 0.7 * without[1]
 
 
 def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains) -> None:

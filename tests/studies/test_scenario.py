@@ -100,6 +100,7 @@ def test_the_loop_does_better_and_says_what_it_saw(tmp_path: pathlib.Path, write
     "name",
     [
         pytest.param("jolt", marks=pytest.mark.gate),
+        pytest.param("uneven_rail", marks=pytest.mark.gate),
         "vertical_10mm",
         *(pytest.param(name, marks=pytest.mark.long) for name in ("mass_change", "shake_3hz", "level_runout")),
     ],
