@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.compare import cell
 from hil.plant.layout import MECHANISM
 from hil.scenario.disturbances import rotation
 from hil.scenario.kinds import OutAndBack
 from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
+from hil.studies.compare import cell
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from tests.builders.paths import ROOT

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from hil.lockstep import lockstep
-from hil.moves.repeated_moves import LEARNING
 from hil.plant.layout import MECHANISM
 from hil.scenario import disturbances, kinds
 from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
+from hil.studies.moves.repeated_moves import LEARNING
 from rigctl.config.settings import RigSettings
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains

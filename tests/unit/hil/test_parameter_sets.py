@@ -8,11 +8,11 @@ from typing import Any
 
 import pytest
 
-from hil.cell.drawn_cell import compensating
-from hil.moves.repeated_moves import LEARNING
 from hil.plant import Plant
 from hil.plant.layout import MECHANISM
 from hil.plant.moves import out_and_back
+from hil.studies.cell.drawn_cell import compensating
+from hil.studies.moves.repeated_moves import LEARNING
 from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
 from rigctl.config.settings import RigSettings
