@@ -100,7 +100,7 @@ def _affinity(cpu: int) -> Applied:
 
 def _lock_memory() -> Applied:
     """Lock all memory, with every page in place but those of reserves, which are locked as they are taken into use."""
-    failed = _libc.mlockall(_MCL_CURRENT | _MCL_ONFAULT) != 0
+    failed = _libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0  # also what is mapped until the next one
     for begin, size in [] if failed else _in_use():
         _libc.mlock(ctypes.c_void_p(begin), ctypes.c_size_t(size))
     failed = failed or _libc.mlockall(_MCL_FUTURE) != 0

@@ -84,3 +84,29 @@ def test_all_memory_is_locked_and_in_place_but_for_what_a_library_keeps_in_reser
     assert taken == pytest.approx(32, abs=1)
     assert later == pytest.approx(16, abs=1)
     assert locked >= 64 + 64 + 4 + 16
+
+
+MEANWHILE = """
+import mmap
+from rigctl.config.settings import LoopSettings
+from rigctl.control import realtime
+
+in_use, mapped = realtime._in_use, []
+
+def and_maps():
+    found = in_use()
+    mapped.append(mmap.mmap(-1, 8 << 20))
+    return found
+
+realtime._in_use = and_maps
+realtime.apply(LoopSettings(rate_hz=1000, lock_memory=True))
+locked = realtime._status_kib("VmLck")
+mapped[0].close()
+print(locked - realtime._status_kib("VmLck") >> 10)
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="needs root, to lock memory")
+def test_memory_that_is_mapped_while_the_rest_is_being_locked_is_locked_too() -> None:
+    done = subprocess.run([sys.executable, "-c", MEANWHILE], capture_output=True, text=True, check=True)
+    assert int(done.stdout) == 8
