@@ -7,23 +7,15 @@ from a closing brake back to OPERATION ENABLED, and then neither motor nor brake
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from enum import Enum, auto
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
+from rigctl.control.power_seen import STILL_NS
 from rigctl.control.snapshot import Snapshot
 
-STILL_NS = 200_000_000
-STILL_MM = 0.02
-"""20 units of 0x6064 (um), or four counts of an encoder of 5 um: more than quantisation and a toggling count make.
-Over ``STILL_NS`` it is 0.1 mm/s, half the limit of a slipping brake in `rigctl.control.safety`."""
-STILL_MM_S = 0.05
-"""5 units of 0x2044; below it the brake may close. The speed is low-passed first, because one count of the encoder in
-one millisecond is 1 to 5 mm/s by itself."""
-SPEED_S = 0.02
 AWAIT_NS = 2_000_000_000
 """Longest wait of an accepted ARM; the longest stop a rig file may have is shorter."""
 BRAKE_TEST_NS = 2_000_000_000
@@ -32,70 +24,35 @@ LONG_TEST_NS = 10_000_000_000
 BRAKE_TEST_MM = 0.05
 """A brake holds without creep: its play and wind-up are taken up while it closes, before the test begins."""
 TEST_TEXT = " in the brake test, the drive stays off"
-BRAKE_TIMES = 2  # of the brake's time
-REACTION_NS = 2_000_000_000
-"""A stroke that still moves this long after the drive went off shows a slipping brake, and no stop under way."""
-
-
-def stopping_ns(settings: RigSettings) -> int:
-    """Time in ns in which a drive that obeys stops by itself from top speed, with two lags to spare."""
-    seconds = settings.tension.speed_max_mm_s / settings.cylinder.stop_deceleration_mm_s2
-    return round((seconds + 2.0 * settings.plant.cylinder_lag_s) * 1e9)
-
-
-def cut_off_ns(settings: RigSettings) -> int:
-    """Time in ns after which a drive that reports to be off is commanded to have no voltage."""
-    return BRAKE_TIMES * settings.cylinder.brake_delay_ms * 1_000_000
-
-
-class Standstill:
-    """Time the stroke has stood still, from position and reported speed."""
-
-    def __init__(self, settings: RigSettings) -> None:
-        self._share = 1.0 / (1.0 + SPEED_S * settings.loop.rate_hz)
-        self._anchor_mm, self._slow_mm_s = math.nan, 0.0
-        self._since_ns = 0
-
-    def look(self, now_ns: int, stroke_mm: float, speed_mm_s: float, heard: bool) -> int:
-        """Nanoseconds of standstill as of ``now_ns``; 0 while the drive's samples are missing or not finite."""
-        self._slow_mm_s += (speed_mm_s - self._slow_mm_s) * self._share
-        if not math.isfinite(self._slow_mm_s):
-            self._slow_mm_s = 0.0
-        near = abs(stroke_mm - self._anchor_mm) <= STILL_MM  # False for NaN
-        if not (near and abs(self._slow_mm_s) < STILL_MM_S and heard):
-            self._anchor_mm, self._since_ns = stroke_mm, now_ns
-        return now_ns - self._since_ns
 
 
 class Awaited(NamedTuple):
     """One row: a check and its condition."""
 
     check: Check
-    met: Callable[[Snapshot, RigSettings], bool]
+    met: Callable[[Snapshot], bool]
 
 
 AWAITED = (
-    Awaited(Check.SEQUENCE_RUNNING, lambda x, s: x.off_ns >= s.cylinder.brake_delay_ms * 1_000_000),
-    Awaited(Check.NOT_AT_STANDSTILL, lambda x, _: x.still_ns >= STILL_NS),
+    Awaited(Check.SEQUENCE_RUNNING, lambda x: x.power.brake_time_over),
+    Awaited(Check.NOT_AT_STANDSTILL, lambda x: x.still_ns >= STILL_NS),
 )
 """In order. They pass by themselves, so they are awaited, and named only if they do not pass in time."""
 AWAITED_CHECKS = Check.SEQUENCE_RUNNING | Check.NOT_AT_STANDSTILL
 
 
-def awaited(snapshot: Snapshot, settings: RigSettings) -> Check:
+def awaited(snapshot: Snapshot) -> Check:
     """Checks of the rows that are not met now."""
     found = Check(0)
     for row in AWAITED:
-        if not row.met(snapshot, settings):
+        if not row.met(snapshot):
             found |= row.check
     return found
 
 
-def stop_running(snapshot: Snapshot, settings: RigSettings) -> bool:
+def stop_running(snapshot: Snapshot) -> bool:
     """A stop is under way: the drive has power, its brake is closing, or the stroke is not at rest yet."""
-    if snapshot.off_ns >= max(REACTION_NS, settings.cylinder.brake_delay_ms * 1_000_000):
-        return False
-    return bool(awaited(snapshot, settings))
+    return not snapshot.power.stop_over and bool(awaited(snapshot))
 
 
 class ArmingStep(Enum):
@@ -140,7 +97,7 @@ class Sequence:
         """One tick; READY lets the drive be switched on."""
         if self._anchor_mm is not None and not self._over:
             return self._test(t_ns, snapshot)
-        if awaited(snapshot, self._settings) & self._awaited:
+        if awaited(snapshot) & self._awaited:
             return ArmingStep.LATE if t_ns >= self._until_ns else ArmingStep.WAIT
         if self._over:
             return ArmingStep.READY

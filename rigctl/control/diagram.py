@@ -6,7 +6,7 @@ import sys
 from itertools import product
 
 from rigctl.control import load_at_rest
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS, STILL_NS
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS
 from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.ending import LIMIT_S, WAITS_NS
@@ -15,9 +15,9 @@ from rigctl.control.faults import Trait, having
 from rigctl.control.loop import SAFE_FRAMES
 from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
 from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Verb, decide
-from rigctl.control.observer import SETTLES_NS
 from rigctl.control.orders import RECHECK_NS
-from rigctl.control.parking import REST_NS, UNDO_MM, UNDO_NS
+from rigctl.control.parking import REST_NS, UNDO_MM
+from rigctl.control.power_seen import SETTLES_NS, STILL_NS, UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.situation import Situation
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM

@@ -9,7 +9,7 @@ from dataclasses import replace
 import can
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming, frequency_trial
+from rigctl.control import frequency_trial
 from rigctl.control.brake_flag import BrakeFlag, KeptBrake
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.cell_correction import CellHistory
@@ -33,6 +33,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.outbox import CONTROLWORD_WRITTEN, Outbox
 from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
+from rigctl.control.power_seen import stopping_ns
 from rigctl.control.preload import Preload
 from rigctl.control.probe_plan import plan
 from rigctl.control.readback import Readback
@@ -98,7 +99,7 @@ class Loop:
         users; None: there are none.
         """
         self.settings = settings
-        self.machine = Machine(arming.stopping_ns(settings))
+        self.machine = Machine(stopping_ns(settings))
         self._commanded_ns = started_ns = clock.now()
         self.readback = Readback(watched, settings, started_ns)
         self.homed = Homed(settings.cylinder, last_stroke)
@@ -129,8 +130,8 @@ class Loop:
         self.brake, self._carried = BrakeFlag(settings, self._rope, kept_brake), CarriedLoad(settings, self._rope)
         self._watch = Watch(settings, limit_rows(settings))
         self._ending = Ending(settings)
-        self._escalator = Escalator(settings, arming.stopping_ns(settings))
-        self._parking, self._first_second = Parking(settings, arming.stopping_ns(settings)), FirstSecond(settings)
+        self._escalator = Escalator(settings, stopping_ns(settings))
+        self._parking, self._first_second = Parking(settings, stopping_ns(settings)), FirstSecond(settings)
         self._travel_from = 0.0, 0.0  # stroke in mm and set-point in N at the begin of COMPENSATING
         self._moved_on_brake = False  # a load at rest on the brake has moved since
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
@@ -141,7 +142,6 @@ class Loop:
             self.learning, self._holds, self.brake, self._carried, self._rope,
             supervised=supervised,
         )  # fmt: skip
-        self._cut_off_ns = arming.cut_off_ns(settings)
         self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
         self._failing = 0  # ticks in a row that ended in an exception
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
@@ -157,7 +157,7 @@ class Loop:
     @property
     def drive_off(self) -> bool:
         """The drive is seen to be off, its brake closed, and no power off has stayed without a confirmation."""
-        return self.observer.braked and self.observer.snapshot.power_off != PowerOff.UNCONFIRMED
+        return self.observer.snapshot.power.braked and self.observer.snapshot.power_off != PowerOff.UNCONFIRMED
 
     # -- the tick -----------------------------------------------------------------------------------------------
     def tick(self) -> None:
@@ -227,7 +227,7 @@ class Loop:
                 self._stroke_hold.follow()  # the motor took the load from the brake
                 self._held_tension.follow()
         if machine.disarming:
-            machine.follow_off(t_ns, off=self.observer.braked)
+            machine.follow_off(t_ns, off=self.observer.snapshot.power.braked)
         orders.attend(t_ns)
         self._park(t_ns)
         if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
@@ -339,10 +339,9 @@ class Loop:
             power = Power.OFF
         elif power is not Power.OFF:
             self._off_until = t_ns + STOP_LIMIT_NS
-        if power is Power.OFF and snapshot.off_ns >= self._cut_off_ns:
+        if power is Power.OFF and snapshot.power.overdue:
             power = Power.CUT  # a drive that says it is off and has not closed its brake loses its power
-        state = drive_state(self.inbox.statusword)
-        word, preload_n = next_controlword(state, power), self._preload.look(snapshot)
+        word, preload_n = next_controlword(snapshot.power.state, power), self._preload.look(snapshot)
         outbox.command(word, speed_mm_s, self._clock.now(), preload_n, enable=self._enable(power))
         request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
         if request is not None and not outbox.request(*request):
@@ -397,7 +396,7 @@ class Loop:
     def _enable(self, power: Power) -> bool:
         """The drive's hard-wired enable: set to switch it on, and until it has been off for its brake's time."""
         snapshot = self.observer.snapshot
-        lingers = snapshot.drive_may_be_on or snapshot.off_ns < self._cut_off_ns
+        lingers = snapshot.drive_may_be_on or not snapshot.power.overdue
         return power is Power.ON or (self.outbox.enable.on and lingers)
 
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
@@ -418,7 +417,7 @@ class Loop:
             until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
-        braked = self.observer.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE
+        braked = self.observer.snapshot.power.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE
         braked = braked and not machine.mode.moves_stroke
         if braked and (rest.rests if not snapshot.load_at_rest.rests else self._moved_on_brake):
             self._moved_on_brake = rest.rests
@@ -457,7 +456,7 @@ class Loop:
     def _look_at_brake(self, t_ns: int, trip: Trip | None) -> Trip | None:
         """Whether the brake is known not to hold; returns what trips then of what trips now."""
         snapshot, brake = self.observer.snapshot, self.brake
-        brake.look(self._watch.standing, snapshot, braked=snapshot.drive_off and self.observer.braked)
+        brake.look(self._watch.standing, snapshot, braked=snapshot.drive_off and self.observer.snapshot.power.braked)
         if brake.changed:
             self._take_note_of_brake(t_ns)
         return self._trip_of_carried(snapshot) if self._on_motor else trip
@@ -568,7 +567,7 @@ class Loop:
         if ending.due and machine.drive_wanted:
             self._orders.lower_to_end(t_ns)
         elif not ending.delayed:
-            self._stop_until = t_ns + STOP_LIMIT_NS + arming.stopping_ns(self.settings)
+            self._stop_until = t_ns + STOP_LIMIT_NS + stopping_ns(self.settings)
             machine.stop()
 
     @property
@@ -596,7 +595,7 @@ class Loop:
         late = t_ns >= self._stop_until
         if still or late:
             self.machine.power_off()
-        if (still and self.observer.braked) or late:
+        if (still and self.observer.snapshot.power.braked) or late:
             self.finished = True
             inbox = self.inbox
             self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))

@@ -6,7 +6,6 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import STILL_NS, Standstill, cut_off_ns, stopping_ns
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.estimator import TensionFilter, filter_model
@@ -15,13 +14,14 @@ from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import NEVER_NS, Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
-from rigctl.control.load_at_rest import REST_NS, LoadRest
+from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
 from rigctl.control.modes import Mode, held_by
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
+from rigctl.control.power_seen import ON_COMMANDS, PowerDetector, Standstill
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
@@ -52,11 +52,8 @@ from rigctl.ipc.record import Flag
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
-_ON_COMMANDS = frozenset({Controlword.SWITCH_ON.value, Controlword.ENABLE_OPERATION.value})
-_CUT_WORDS = frozenset({Controlword.DISABLE_VOLTAGE.value, Controlword.FAULT_RESET.value})
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
-SETTLES_NS = REST_NS + 1_000_000_000  # from a closed brake to a load seen at rest, once it has swung out
 CURRENT_NS = 500_000_000
 """For so long after the drive reports off, `CURRENT_SHARE` of the motor's rated current shows power."""
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
@@ -84,7 +81,10 @@ class Observer:
         self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
-        self.snapshot = Snapshot(heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states)
+        self._power = PowerDetector(settings)
+        self.snapshot = Snapshot(
+            heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen
+        )
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
         self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
@@ -117,14 +117,6 @@ class Observer:
         self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
-        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
-        self._alone_ns = cut_off_ns(settings) + STILL_NS  # a drive that holds on longer than its file has it is cut off
-        self._stopping_ns = stopping_ns(settings)
-        self._off_since_ns: int | None = None
-        self._cut_from_ns: int | None = None  # when the words that leave a drive without power began
-        self._cut_ns = 0
-        self._not_on_from_ns: int | None = None  # when the words that lead to power ended
-        self._not_on_ns = 0
 
     @property
     def slack(self) -> bool:
@@ -157,10 +149,13 @@ class Observer:
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        self._look_at_off(now_ns, off=state in UNPOWERED_STATES)
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_heard)
-        self._look_at_sinking(now_ns)
         self._look_at_drive_status(now_ns)
+        self._power.look(
+            now_ns, state, self._outbox.controlword, snapshot.still_ns,
+            heard=snapshot.drive_heard, current=snapshot.drive_current_flows,
+        )  # fmt: skip
+        self._look_at_sinking(now_ns)
         self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
@@ -243,37 +238,23 @@ class Observer:
         self.look_at_settings()
 
     @property
-    def braked(self) -> bool:
-        """The drive reports now that it is off, and has for its brake's time, with the stroke at rest or its power cut.
-
-        Not while the motor has current.
-
-        Drives report an off state from the begin of their ramp on, which ends at standstill; a stroke that does not
-        come to rest needs disable voltage. An encoder may be stuck, so the ramp's own time is waited for as well. A
-        word that leads to power may have its effect late: the time begins anew.
-        """
-        snapshot = self.snapshot
-        stopped_ns = min(snapshot.still_ns, snapshot.off_ns - self._stopping_ns)
-        off_ns = min(snapshot.off_ns, self._not_on_ns, max(stopped_ns, self._cut_ns))
-        return snapshot.drive_heard and off_ns >= self._brake_ns and not snapshot.drive_current_flows
-
-    @property
     def shown_off(self) -> bool:
-        """The same, up to the tick that sends a word that leads to power."""
-        return self.braked and self._outbox.controlword not in _ON_COMMANDS
+        """The drive is off, its brake closed, up to the tick that sends a word that leads to power."""
+        return self.snapshot.power.braked and self._outbox.controlword not in ON_COMMANDS
 
     def look_at_load(self, standing: int) -> None:
         """What carries the load, whether it rests and a power off is confirmed, after this tick's decision.
 
         ``standing``: the causes that are active, see `Fault.bit`.
         """
-        snapshot, machine, rest = self.snapshot, self._machine, self._load_rest
+        snapshot, machine, rest, seen = self.snapshot, self._machine, self._load_rest, self.snapshot.power
+        braked = seen.braked
         snapshot.load_at_rest = rest.look(standing | machine.fault.bit, snapshot)
-        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=self.braked)
-        braked, rests = self.braked, snapshot.load_at_rest.rests
+        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=braked)
+        rests = snapshot.load_at_rest.rests
         self._rested &= braked
-        settles = not self._rested and snapshot.off_ns <= self._brake_ns + SETTLES_NS and not snapshot.sink_mm_s
-        self._rested |= braked and rests and snapshot.off_ns >= self._alone_ns
+        settles = not self._rested and seen.settles and not snapshot.sink_mm_s
+        self._rested |= braked and rests and seen.left_alone
         snapshot.held_by = held_by(
             machine.mode,
             known=snapshot.drive_heard,
@@ -287,8 +268,8 @@ class Observer:
     def _look_at_power(self) -> None:
         """Whether the drive may have power, by commands and fresh samples; and what it may have moved unseen."""
         snapshot, fresh = self.snapshot, self.inbox.drive_fresh
-        state = drive_state(self.inbox.statusword)
-        commanded_on, powered = self._outbox.controlword in _ON_COMMANDS, state not in UNPOWERED_STATES
+        state = snapshot.power.state
+        commanded_on, powered = self._outbox.controlword in ON_COMMANDS, state not in UNPOWERED_STATES
         reported = powered if fresh else snapshot.drive_may_be_on
         snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_has_current
         snapshot.drive_stops = state in STOPPING_STATES
@@ -307,16 +288,6 @@ class Observer:
         snapshot, readback = self.snapshot, self._readback
         snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
         snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
-
-    def _look_at_off(self, now_ns: int, *, off: bool) -> None:
-        """How long the drive has reported a state without power, and has been sent which words."""
-        word = self._outbox.controlword
-        self._off_since_ns = _since(self._off_since_ns, now_ns, holds=off)
-        self._cut_from_ns = _since(self._cut_from_ns, now_ns, holds=word in _CUT_WORDS)
-        self._not_on_from_ns = _since(self._not_on_from_ns, now_ns, holds=word not in _ON_COMMANDS)
-        self.snapshot.off_ns = _passed_ns(self._off_since_ns, now_ns)
-        self._cut_ns = _passed_ns(self._cut_from_ns, now_ns)
-        self._not_on_ns = _passed_ns(self._not_on_from_ns, now_ns)
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
@@ -444,13 +415,3 @@ class Observer:
         else:
             table.forget_pass()
         return table.speed_mm_s
-
-
-def _since(since_ns: int | None, now_ns: int, *, holds: bool) -> int | None:
-    """When a condition began to hold; None while it does not."""
-    return None if not holds else now_ns if since_ns is None else since_ns
-
-
-def _passed_ns(since_ns: int | None, now_ns: int) -> int:
-    """How long a condition has held; 0 where it does not."""
-    return 0 if since_ns is None else now_ns - since_ns

@@ -23,6 +23,7 @@ from rigctl.control.machine import Answer, Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
+from rigctl.control.power_seen import STILL_NS
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
@@ -144,7 +145,7 @@ class Orders:
     def attend(self, t_ns: int) -> None:
         """Go on with a waiting command, what the displays offer, and the trial, answered once it has ended."""
         machine = self._machine
-        parked = machine.armed and self._observer.braked
+        parked = machine.armed and self._observer.snapshot.power.braked
         self._parked_ns = (self._parked_ns or t_ns) if parked else None
         if self._waiting is not None:
             self._go_on_waiting(self._waiting, t_ns)
@@ -183,7 +184,7 @@ class Orders:
 
     def _waits_for_brake(self, trial: trials.Trial) -> bool:
         """Whether a trial that only measures waits for the brake: a motor that holds the load moves it."""
-        on_motor = self._machine.mode is Mode.HOLD and not self._observer.braked
+        on_motor = self._machine.mode is Mode.HOLD and not self._observer.snapshot.power.braked
         return on_motor and not trial.power_s and self._settings.cylinder.brake_waiver is None
 
     def prepare(self, t_ns: int) -> None:
@@ -302,7 +303,7 @@ class Orders:
         snapshot = self._observer.snapshot
         beyond = self._watch.beyond(snapshot, Mode.HOLD)
         failing = safety.preflight(snapshot, self._settings, beyond, known, near_end=near_end)
-        return failing | arming.awaited(snapshot, self._settings)
+        return failing | arming.awaited(snapshot)
 
     def _barring(self, verb: Verb | None = None) -> Check:
         """Checks that fail now of those that the command under way must pass; ``verb``: of one already answered."""
@@ -393,7 +394,7 @@ class Orders:
         situation = Situation(
             failed_checks=int(failing & ~arming.AWAITED_CHECKS),
             causes=0 if moves else self._watch.blocking(snapshot),
-            stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot, settings),
+            stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot),
             fault=machine.fault,
             moves=0 if settings.learning is None else settings.learning.moves,
             stroke_mm=snapshot.stroke_mm if snapshot.drive_heard else math.nan,
@@ -404,7 +405,7 @@ class Orders:
             sunk_mm=0.0 if observer.slack else self._armed_mm - snapshot.stroke_mm,
             no_brake=settings.cylinder.brake_waiver is not None,
             needed_n=brake.wanted_n if brake.fails and snapshot.tension_n < brake.wanted_n else 0.0,
-            at_rest=snapshot.still_ns >= arming.STILL_NS,
+            at_rest=snapshot.still_ns >= STILL_NS,
             room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
             strays=self._carried.strayed_mm != 0.0,
             apart_mm=snapshot.sink_apart_mm or self._carried.strayed_mm,

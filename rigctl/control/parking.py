@@ -9,21 +9,17 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import STILL_NS
 from rigctl.control.modes import Mode
+from rigctl.control.power_seen import STILL_NS
 from rigctl.control.snapshot import Snapshot
 
 REST_NS = 500_000_000
 """Spare time for a stroke to come to rest, beyond which the drive's own stop has to bring it there."""
-UNDO_NS = 1_000_000_000
-"""A brake that slips within this time after a parking gives the load back to the motor that has just held it."""
 UNDO_MM = 0.04
 """Of stroke: 0.2 mm/s, at which STROKE_MOVES takes the drive off for good, take longer for it than that row's 0.2 s."""
 UNDO_SHARE = 0.5
 """Of that way the tension has to show so much: the rope's stiffness may be off, and a payload may move."""
 UNDONE_TEXT = " right after it had taken the load, the motor takes it back"
-_SEATED_NS = 400_000_000
-"""A drive reports off once its brake has closed: play and wind-up are taken up by then, whatever delay is stated."""
 _UNDO_SMOOTH_S = 0.02  # of the cell's noise
 
 
@@ -78,8 +74,6 @@ class FirstSecond:
         plant = settings.plant
         self._stiffness = plant.slow_stiffness_n_mm
         self._least_mm = max(UNDO_MM, settings.tension_cell.noise_n / self._stiffness)
-        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
-        self._seated_ns = min(self._brake_ns, _SEATED_NS)
         self._share = settings.loop.period_ns * 1e-9 / _UNDO_SMOOTH_S
         self._slack_n = settings.tension.slack_n
         self.sank_mm = 0.0
@@ -98,7 +92,7 @@ class FirstSecond:
         self._closed = False
 
     def look(self, snapshot: Snapshot, *, moves: bool) -> None:
-        """One tick; the way counts from the end of the brake's time on, but from `_SEATED_NS` at the latest.
+        """One tick; the way counts from the end of the brake's time on, but from `SEATED_NS` at the latest.
 
         ``moves``: STROKE_MOVES is active, which no play is: the way counts from the motor's end on then. Its 0.2 s may
         be over before the brake's time is.
@@ -106,11 +100,7 @@ class FirstSecond:
         if not self._parks:
             return
         unseen = not (snapshot.cell_heard and snapshot.drive_heard) or snapshot.cell_quality
-        if (
-            unseen
-            or not math.isfinite(snapshot.tension_n + snapshot.stroke_mm)
-            or (snapshot.off_ns > self._brake_ns + UNDO_NS)
-        ):
+        if unseen or not math.isfinite(snapshot.tension_n + snapshot.stroke_mm) or snapshot.power.first_second_over:
             self.end()
             return
         if math.isnan(self._tension_n):
@@ -120,7 +110,7 @@ class FirstSecond:
             if math.isfinite(self._from_mm):  # it has come on again
                 self.end()
             return
-        closed = snapshot.off_ns >= self._seated_ns
+        closed = snapshot.power.seated
         if math.isnan(self._from_mm) or (closed and not self._closed):
             self._from_mm, self._from_n = snapshot.stroke_mm, self._tension_n
         self._closed = closed

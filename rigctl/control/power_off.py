@@ -29,7 +29,7 @@ class PowerOffWatch:
     def look(self, fault: Fault, action: Action, snapshot: Snapshot, load: LoadRest, *, braked: bool) -> PowerOff:
         """One tick with ``fault`` latched and ``action`` taken.
 
-        ``load``: has looked at this tick. ``braked``: see `rigctl.control.observer.Observer.braked`.
+        ``load``: has looked at this tick. ``braked``: see `rigctl.control.power_seen.PowerDetector`.
         """
         if fault is Fault.NONE or action < Action.POWER_OFF:
             self.shown = PowerOff.NONE
@@ -60,5 +60,5 @@ class PowerOffWatch:
 
     def _drive_at_rest(self, snapshot: Snapshot, at_least_ns: int = 1) -> bool:
         """The drive reports a state without power, and its stroke has stood still since the command or longer."""
-        still_ns = min(snapshot.still_ns, snapshot.off_ns, snapshot.t_ns - self._from_ns)
+        still_ns = min(snapshot.still_ns, snapshot.power.off_ns, snapshot.t_ns - self._from_ns)
         return snapshot.drive_heard and still_ns >= at_least_ns

@@ -16,13 +16,12 @@ class Preload:
     """
 
     def __init__(self, settings: RigSettings) -> None:
-        self._brake_ns = settings.cylinder.brake_delay_ms * 1_000_000
         self._most_n = settings.safety.tension_high_n
         self._force_n = 0.0
 
     def look(self, snapshot: Snapshot) -> float:
         """Force for this tick's command, N."""
-        braked = snapshot.drive_off and snapshot.off_ns >= self._brake_ns
+        braked = snapshot.drive_off and snapshot.power.brake_time_over
         known = snapshot.drive_heard and snapshot.cell_heard and snapshot.cell_quality == 0
         if braked and known and math.isfinite(snapshot.tension_n):
             self._force_n = min(max(snapshot.tension_n, 0.0), self._most_n)

@@ -6,7 +6,6 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import stopping_ns
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.snapshot import Snapshot
 
@@ -15,7 +14,7 @@ STEPS = 50
 """Means over 100 ms, for 5 s: a brake that slips by 0.02 mm/s has then moved the stroke by 0.1 mm."""
 LATEST = 10  # of them: a motion that shows in the last second has its speed from there
 FEWEST = 3
-STILL_MM = 0.02  # of encoder noise and a toggling count, as in rigctl.control.arming
+STILL_MM = 0.02  # of encoder noise and a toggling count, as in rigctl.control.power_seen
 JUMP_MM = 0.5  # in one tick: a position that jumped, see rigctl.control.homed, and no motion
 AGREES_MM, AGREES_SHARE = 0.3, 0.3
 """Difference that a payload at rest and an inexact stiffness may make between stroke and stretch."""
@@ -33,7 +32,6 @@ class Sinking:
         self._rope = rope
         self._stiffness = plant.slow_stiffness_n_mm
         self._slack_n = settings.tension.slack_n
-        self._closed_ns = stopping_ns(settings) + settings.cylinder.brake_delay_ms * 1_000_000
         self._steps: deque[tuple[int, float, float]] = deque(maxlen=STEPS + 1)
         self._sum_mm = self._sum_n = 0.0
         self._count, self._next_ns = 0, 0
@@ -55,7 +53,8 @@ class Sinking:
         self.left_mm = max(0.0, tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
         jumped = abs(snapshot.stroke_mm - self._last_mm) > JUMP_MM  # False for NaN
         self._last_mm = snapshot.stroke_mm
-        if jumped or snapshot.off_ns < self._closed_ns or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n):
+        unknown = jumped or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n)
+        if unknown or not snapshot.power.stopped_and_closed:
             if self._steps or self._count:
                 self.forget()
             return

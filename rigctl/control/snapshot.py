@@ -11,6 +11,7 @@ from operator import attrgetter
 from typing import Any
 
 from rigctl.control.modes import HeldBy, LoadAtRest
+from rigctl.control.power_seen import PowerSeen
 
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
 
@@ -46,8 +47,8 @@ class Snapshot:
     drive_heard: bool = False  # the same
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
-    off_ns: int = 0  # time since the drive began to report a state without power
-    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.arming
+    power: PowerSeen = field(default_factory=PowerSeen)  # state, times and brake of the drive
+    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.power_seen
     sink_mm_s: float = 0.0  # of the stroke on the closed brake; these three: see rigctl.control.sinking
     sink_apart_mm: float = 0.0
     sink_left_mm: float = 0.0

@@ -9,7 +9,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming
+from rigctl.control import arming, power_seen
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
@@ -34,7 +34,7 @@ def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[StagePhase, int, bo
     """StagePhase of the motor, controlword and whether the stroke moves, tick by tick."""
     for _ in range(round(seconds / TICK_S)):
         rig.loop.tick()
-        moving = abs(rig.rig.truth.speed_mm_s) > arming.STILL_MM_S
+        moving = abs(rig.rig.truth.speed_mm_s) > power_seen.STILL_MM_S
         yield rig.rig.drive.control.stage.phase, rig.loop.outbox.controlword, moving
 
 
@@ -65,7 +65,7 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
     while rig.command(Verb.RESET) is not Refusal.NONE:
         assert rig.clock.now() < until_ns
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
-    assert rig.loop.observer.snapshot.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
+    assert rig.loop.observer.snapshot.power.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
     assert rig.loop.machine.mode is Mode.DISARMED, "a quick stop takes the power off: a whole arming follows"
     assert rig.command(Verb.ARM) is Refusal.NONE
 
@@ -120,27 +120,27 @@ def test_an_arm_that_waits_is_refused_by_what_fails_meanwhile_and_ended_by_disar
 
 
 def test_one_toggling_count_of_a_coarse_encoder_is_standstill(settings: RigSettings) -> None:
-    still = arming.Standstill(settings)
+    still = power_seen.Standstill(settings)
     count_mm, period_s = 0.005, 1.0 / settings.loop.rate_hz
     for i in range(400):
         stroke = 50.0 + count_mm * (i // 7 % 2)
         speed = count_mm / period_s / 7.0 * (1 if i % 14 == 7 else -1 if i % 14 == 0 else 0) * 0.2
         found = still.look(i * MS, stroke, speed, True)
-    assert found >= arming.STILL_NS
+    assert found >= power_seen.STILL_NS
 
 
 @pytest.mark.gate("0.12")
 @pytest.mark.parametrize("speed_mm_s", [0.12, -0.12, 8.0])
 def test_a_stroke_that_creeps_is_not_at_standstill(settings: RigSettings, speed_mm_s: float) -> None:
-    still = arming.Standstill(settings)
+    still = power_seen.Standstill(settings)
     found = [still.look(i * MS, 50.0 + speed_mm_s * i * 1e-3, 0.0, True) for i in range(1000)]  # its own speed is 0
-    assert max(found) < arming.STILL_NS
+    assert max(found) < power_seen.STILL_NS
 
 
 @pytest.mark.parametrize(("stroke", "heard"), [(float("nan"), True), (50.0, False)])
 def test_what_is_not_seen_does_not_stand_still(settings: RigSettings, stroke: float, heard: bool) -> None:
-    still = arming.Standstill(settings)
-    assert max(still.look(i * MS, stroke, 0.0, heard) for i in range(500)) < arming.STILL_NS
+    still = power_seen.Standstill(settings)
+    assert max(still.look(i * MS, stroke, 0.0, heard) for i in range(500)) < power_seen.STILL_NS
 
 
 # -- brake test -------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+from typing import Any
 
 import pytest
 
@@ -25,7 +26,7 @@ from rigctl.control import modes, observer, safety
 from rigctl.control.escalation import Escalator
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
-from rigctl.control.observer import Observer
+from rigctl.control.power_seen import PowerDetector
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
 
@@ -143,8 +144,13 @@ def test_a_safety_table_without_a_row_makes_rows_fail(
 
 def test_a_rig_that_shows_the_power_off_while_the_motor_has_it_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
     """By the drive's state alone: it reports READY TO SWITCH ON from the begin of a ramp that does not end."""
-    by_state = property(lambda observer: observer.snapshot.off_ns >= observer._brake_ns)
-    monkeypatch.setattr(Observer, "braked", by_state)
+    look = PowerDetector.look
+
+    def by_state(detector: PowerDetector, *args: Any, **seen: Any) -> None:
+        look(detector, *args, **seen)
+        detector.seen.braked = detector.seen.brake_time_over
+
+    monkeypatch.setattr(PowerDetector, "look", by_state)
     monkeypatch.setattr(observer, "held_by", lambda mode, **found: modes.held_by(mode, **{**found, "rests": True}))
     found = row(new_bench(), "torque_lost", Mode.FAULT)
     assert any(text.startswith("power off shown") for text in found.findings)

@@ -11,21 +11,19 @@ from rigctl.control.arming import (
     AWAIT_NS,
     BRAKE_TEST_MM,
     BRAKE_TEST_NS,
-    STILL_NS,
     ArmingStep,
     Sequence,
-    Standstill,
     awaited,
 )
 from rigctl.control.checks import Check
+from rigctl.control.power_seen import STILL_NS, PowerSeen, Standstill
 from rigctl.control.snapshot import Snapshot
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 SETTINGS = PAPER.model_copy(update={"cylinder": PAPER.cylinder.model_copy(update={"brake_test": True})})
-BRAKE_NS = SETTINGS.cylinder.brake_delay_ms * 1_000_000
 MS, S = 1_000_000, 1_000_000_000
-REST = Snapshot(tension_n=300.0, stroke_mm=50.0, off_ns=BRAKE_NS, still_ns=STILL_NS)
+REST = Snapshot(tension_n=300.0, stroke_mm=50.0, power=PowerSeen(brake_time_over=True), still_ns=STILL_NS)
 
 
 def begun() -> Sequence:
@@ -65,10 +63,10 @@ def test_a_slack_rope_tests_no_brake() -> None:
 
 def test_what_is_awaited_is_waited_for_and_then_it_is_too_late() -> None:
     sequence, moving = begun(), replace(REST, still_ns=0)
-    assert awaited(moving, SETTINGS) == Check.NOT_AT_STANDSTILL
+    assert awaited(moving) == Check.NOT_AT_STANDSTILL
     assert sequence.step(1 * S + AWAIT_NS - 1, moving, slack=True) is ArmingStep.WAIT
     assert sequence.step(1 * S + AWAIT_NS, moving, slack=True) is ArmingStep.LATE
-    assert awaited(replace(REST, off_ns=BRAKE_NS - 1), SETTINGS) == Check.SEQUENCE_RUNNING
+    assert awaited(replace(REST, power=PowerSeen())) == Check.SEQUENCE_RUNNING
 
 
 def test_a_stroke_that_stops_comes_to_rest_and_one_that_is_not_seen_does_not() -> None:

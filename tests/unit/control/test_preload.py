@@ -7,16 +7,15 @@ from typing import Any
 
 import pytest
 
+from rigctl.control.power_seen import PowerSeen
 from rigctl.control.preload import Preload
 from rigctl.control.snapshot import Snapshot
 from tests.builders.rig_bench import SETTINGS
 
-BRAKED_NS = SETTINGS.cylinder.brake_delay_ms * 1_000_000
-
 
 def looked(
     preload: Preload,
-    off_ns: int,
+    brake_time_over: bool,
     tension_n: float,
     cell_quality: int = 0,
     cell_heard: bool = True,
@@ -24,19 +23,22 @@ def looked(
 ) -> float:
     return preload.look(
         Snapshot(
-            drive_off=off_ns > 0, off_ns=off_ns, tension_n=tension_n, cell_quality=cell_quality,
-            cell_heard=cell_heard, drive_heard=drive_heard,
+            drive_off=True,
+            power=PowerSeen(brake_time_over=brake_time_over),
+            tension_n=tension_n,
+            cell_quality=cell_quality,
+            cell_heard=cell_heard,
+            drive_heard=drive_heard,
         )
-    )  # fmt: skip
+    )
 
 
-@pytest.mark.parametrize("off_ns", [0, BRAKED_NS - 1])
-def test_it_stays_until_the_drive_has_been_off_for_its_brakes_time(off_ns: int) -> None:
+def test_it_stays_until_the_drive_has_been_off_for_its_brakes_time() -> None:
     preload = Preload(SETTINGS)
-    assert looked(preload, off_ns, 300.0) == 0.0
-    assert looked(preload, BRAKED_NS, 120.0) == 120.0
-    assert looked(preload, off_ns, 300.0) == 120.0
-    assert looked(preload, BRAKED_NS, 300.0) == 300.0
+    assert looked(preload, False, 300.0) == 0.0
+    assert looked(preload, True, 120.0) == 120.0
+    assert looked(preload, False, 300.0) == 120.0
+    assert looked(preload, True, 300.0) == 300.0
 
 
 @pytest.mark.parametrize(
@@ -46,10 +48,10 @@ def test_it_stays_until_the_drive_has_been_off_for_its_brakes_time(off_ns: int) 
 )  # fmt: skip
 def test_a_tension_or_a_drive_that_is_not_known_changes_nothing(tension_n: float, more: dict[str, Any]) -> None:
     preload = Preload(SETTINGS)
-    looked(preload, BRAKED_NS, 200.0)
-    assert looked(preload, BRAKED_NS, tension_n, **more) == 200.0
+    looked(preload, True, 200.0)
+    assert looked(preload, True, tension_n, **more) == 200.0
 
 
 @pytest.mark.parametrize(("tension_n", "force_n"), [(-5.0, 0.0), (1e4, SETTINGS.safety.tension_high_n)])
 def test_it_is_a_load_that_a_rope_may_have(tension_n: float, force_n: float) -> None:
-    assert looked(Preload(SETTINGS), BRAKED_NS, tension_n) == force_n
+    assert looked(Preload(SETTINGS), True, tension_n) == force_n

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.control.power_seen import PowerSeen
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.sinking import AGREES_MM, AGREES_SHARE, Sinking
 from rigctl.control.snapshot import Snapshot
@@ -14,7 +15,8 @@ from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 K = SETTINGS.plant.slow_stiffness_n_mm
-MS, HOUR_NS = 1_000_000, 3_600_000_000_000
+MS = 1_000_000
+CLOSED = PowerSeen(stopped_and_closed=True)
 Path = Callable[[float], float]
 
 
@@ -23,7 +25,7 @@ def after(seconds: float, stroke_mm: Path, tension_n: Path) -> Sinking:
     found = Sinking(SETTINGS, RopeMemory(SETTINGS))
     for tick in range(round(1000 * seconds) + 1):
         t = 1e-3 * tick
-        found.look(tick * MS, Snapshot(stroke_mm=stroke_mm(t), tension_n=tension_n(t), off_ns=HOUR_NS))
+        found.look(tick * MS, Snapshot(stroke_mm=stroke_mm(t), tension_n=tension_n(t), power=CLOSED))
     return found
 
 
@@ -74,10 +76,10 @@ def test_the_rope_is_slack_after_the_stretch_above_that_limit() -> None:
 def test_a_motor_that_may_hold_and_a_position_that_jumps_begin_anew() -> None:
     found = Sinking(SETTINGS, RopeMemory(SETTINGS))
     for tick in range(2000):
-        found.look(tick * MS, Snapshot(stroke_mm=50.0 - 3e-4 * tick, tension_n=300.0, off_ns=HOUR_NS))
+        found.look(tick * MS, Snapshot(stroke_mm=50.0 - 3e-4 * tick, tension_n=300.0, power=CLOSED))
     assert found.speed_mm_s == pytest.approx(-0.3, rel=1e-6)
-    found.look(2000 * MS, Snapshot(stroke_mm=48.0, tension_n=300.0, off_ns=HOUR_NS))
+    found.look(2000 * MS, Snapshot(stroke_mm=48.0, tension_n=300.0, power=CLOSED))
     assert found.speed_mm_s == 0.0
     for tick in range(2001, 4000):
-        found.look(tick * MS, Snapshot(stroke_mm=48.0 - 3e-4 * tick, tension_n=300.0, off_ns=1 * MS))
+        found.look(tick * MS, Snapshot(stroke_mm=48.0 - 3e-4 * tick, tension_n=300.0, power=PowerSeen()))
     assert (found.speed_mm_s, found.apart_mm) == (0.0, 0.0)
