@@ -211,7 +211,7 @@ class TensionFilter:
     def settle(self) -> None:
         """Take the settled gain at once, quiet if there is such a setting: as after a long time at rest."""
         target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = self._state(), target, target.prior
+        self._x, self._settled, self._prior = self.state, target, target.prior
         if self.opening is not None:
             self.opening.level = 0.0
 
@@ -222,7 +222,7 @@ class TensionFilter:
         """
         self._unused_gain()
         self._target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = other._state(), self._target, self._target.prior
+        self._x, self._settled, self._prior = other.state, self._target, self._target.prior
         self._kf.x = np.array(self._x).reshape(3, 1)
         self._kf.p = np.array(self._target.prior)
         self._sent[:] = other._sent
@@ -237,8 +237,9 @@ class TensionFilter:
 
     def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
         """Correct with the newest samples; ``None`` is absent, a non-finite sample is counted and skipped."""
-        tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
-        t, v, w = self._state()
+        if not math.isfinite((tension_n or 0.0) + (speed_mm_s or 0.0)):
+            tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
+        t, v, w = self.state
         if self.late_s:  # what they moved on since the time of the state
             _, to_tension, _, kept, driven = self._rows
             periods = self.late_s / self.model.period_s
@@ -250,11 +251,11 @@ class TensionFilter:
         y1 = speed_mm_s - v if speed_mm_s is not None else None
         ticks = self.cell.since
         s00, s11 = self._variances()
-        if not self._believed(self.cell, y0, s00):
+        if not self.cell.believes(y0, s00):
             tension_n = None
         elif self.cell.surprised:
             self._follow(ticks)
-        if not self._believed(self.drive, y1, s11):
+        if not self.drive.believes(y1, s11):
             speed_mm_s = None
         if tension_n is None or speed_mm_s is None:
             self._update_one(tension_n, speed_mm_s)
@@ -288,13 +289,6 @@ class TensionFilter:
         p, r = self._kf.p, self._kf.r
         return p.item(0, 0) + r.item(0, 0), p.item(1, 1) + r.item(1, 1)
 
-    @staticmethod
-    def _believed(gate: Gate, innovation: float | None, variance: float) -> bool:
-        if innovation is None:
-            gate.absent()
-            return False
-        return gate.believes(innovation, variance)
-
     def _follow(self, ticks: int) -> None:
         """Widen the covariance by a burst of disturbance, so that the filter follows a surprising tension."""
         kf, model = self._kf, self.model
@@ -313,10 +307,10 @@ class TensionFilter:
         if self._target is not None:
             gain = np.array([self._target.tension, self._target.speed]).T
             if (np.abs(kf.k - gain) < NEAR_GAIN * np.abs(gain).max(axis=1, keepdims=True)).all():
-                self._x, self._settled = self._state(), self._target
+                self._x, self._settled = self.state, self._target
                 return
         elif before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
-            self._x = self._state()
+            self._x = self.state
             self._settled = _SettledGain(
                 _row(kf.k[:, 0]), _row(kf.k[:, 1]), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1))
             )
@@ -364,7 +358,7 @@ class TensionFilter:
 
     def ahead(self) -> tuple[float, float, float]:
         """Tension, drive speed and whole disturbance speed, w + f, when a command sent now will act."""
-        (t, v, w), known = self._state(), self.known_mm_s
+        (t, v, w), known = self.state, self.known_mm_s
         tv, tw, _, vv, _ = self._carry
         tension_n, speed_mm_s, disturbance_mm_s = t + tv * v + tw * (w + known), vv * v, w + known
         for (to_tension, to_speed), command in zip(self._forced, self._sent, strict=False):
@@ -376,13 +370,10 @@ class TensionFilter:
         """Store the limited command sent in this tick, which the drive will follow."""
         self._sent[-1] = speed_mm_s
 
-    def _state(self) -> Row:
-        return self._x if self._settled is not None else _row(self._kf.x[:, 0])
-
     @property
-    def state(self) -> tuple[float, float, float]:
+    def state(self) -> Row:
         """Tension, drive speed and disturbance speed at this tick."""
-        return self._state()
+        return self._x if self._settled is not None else _row(self._kf.x[:, 0])
 
     @property
     def level(self) -> float:

@@ -67,8 +67,11 @@ class Gate:
         self.since, self.rejects, self.verdict, self.nis = other.since, other.rejects, other.verdict, other.nis
         self.innovation, self.variance, self.surprised = other.innovation, other.variance, other.surprised
 
-    def believes(self, innovation: float, variance: float) -> bool:
-        """Judge one sample; its innovation and variance stay for the record."""
+    def believes(self, innovation: float | None, variance: float) -> bool:
+        """Judge one sample, None is an absent one; its innovation and variance stay for the record."""
+        if innovation is None:
+            self.absent()
+            return False
         self.innovation, self.variance = innovation, variance
         n = self.since
         square = innovation * innovation

@@ -30,6 +30,7 @@ OVERRANGE = 1.2  # a cell may read this much of its rated range
 _SATURATED, _INVALID = Quality.SATURATED.value, Quality.INVALID.value
 _NEVER = Quality.NEVER.value
 _EMCY_SIZE = 8
+_UNCOUNTED = -1
 
 
 Handler = Callable[[bytes | bytearray, int], None]
@@ -63,14 +64,19 @@ def rival_ids(settings: RigSettings) -> list[int]:
     return [od.NMT_COB, od.SYNC_COB, heartbeat, od.DRIVE_RPDO.cob_base + settings.cylinder.node]
 
 
-def _divisors(settings: RigSettings) -> tuple[int, ...]:
-    """SYNCs per frame of cell, slope, drive, rail, drive status, drive speed, cell temperature, second force path."""
+def _divisors(settings: RigSettings) -> dict[str, int]:
+    """SYNCs per frame, by the name of each frame that answers them."""
     rate, rail, second = settings.loop.rate_hz, settings.rail_encoder, settings.second_force
-    return (
-        1, settings.inclinometer_divisor, 1, rate // rail.rate_hz if rail is not None else 1,
-        settings.status_divisor or 1, 1, settings.cell_temperature_divisor or 1,
-        rate // second.rate_hz if second is not None else 1,
-    )  # fmt: skip
+    return {
+        "tension_cell": 1,
+        "inclinometer": settings.inclinometer_divisor,
+        "cylinder": 1,
+        DRIVE_SPEED: 1,
+        DRIVE_STATUS: settings.status_divisor or 1,
+        CELL_TEMPERATURE: settings.cell_temperature_divisor or 1,
+        "rail_encoder": rate // rail.rate_hz if rail is not None else 1,
+        SECOND_FORCE: rate // second.rate_hz if second is not None else 1,
+    }
 
 
 class Inbox:
@@ -91,7 +97,8 @@ class Inbox:
         self._bus, self._frames, self._readback = bus, frames, readback
         self._process_data = process_data or wanted(settings)
         rail = settings.rail_encoder
-        self._divisors = _divisors(settings)
+        divisors = _divisors(settings)
+        self._channels, self._divisors = {name: at for at, name in enumerate(divisors)}, tuple(divisors.values())
         section = settings.second_force
         self.second = (
             SecondForce(section, settings.tension_cell.noise_n, settings.loop.period_ns * 1e-9)
@@ -138,17 +145,17 @@ class Inbox:
         self.sensor_emergency = self.drive_emergency = 0  # node << 16 | code of an active emergency, 0 for none
         self._notices = Notices()
         self.restarted = False  # a device booted since start-up, so its verified settings are lost
-        self._tension_max_n = settings.tension_cell.range_n * OVERRANGE
-        self._slope_max_rad = math.radians(settings.inclinometer.range_deg)
+        self._tension_max_n, self._slope_max_rad = (
+            settings.tension_cell.range_n * OVERRANGE, math.radians(settings.inclinometer.range_deg),
+        )  # fmt: skip
         self.states: dict[int, int] = {}  # newest NMT state of each node
         self.heartbeats_t_ns: dict[int, int] = {}  # at first of the first tick: start-up has just reached all
         self._nodes = tuple(settings.canopen_nodes.values())
-        # Frames of cell, slope, drive, rail, drive status, drive speed, cell temperature and second force path since
-        # the first of each; SYNCs sent at that first frame.
-        self._counts, self._bases, self._syncs = [0] * 8, [-1] * 8, 0
+        # Frames of each channel since its first one; SYNCs sent at that first frame.
+        self._counts, self._bases, self._syncs = [0] * len(divisors), [-1] * len(divisors), 0
 
-    def _handlers_of(self, settings: RigSettings) -> dict[int, Handler]:
-        """Handlers by identifier."""
+    def _handlers_of(self, settings: RigSettings) -> dict[int, tuple[Handler, int]]:
+        """Handlers by identifier, each with its place in the channels; `_UNCOUNTED` of a frame that answers no SYNC."""
         nodes, plain = settings.canopen_nodes, settings.plain_messages
         data = self._process_data
         compiled: dict[str, Callable[[RigSettings, PdoLayout], Handler]] = {
@@ -164,20 +171,24 @@ class Inbox:
         }
         ids = data.can_ids(settings)
         self._speed_comes_last = ids.get(DRIVE_SPEED, 0) > ids["cylinder"]  # the lower identifier is sent first
-        handlers = {ids[name]: make(settings, data.frames[name]) for name, make in compiled.items() if name in ids}
+        handlers = {
+            ids[name]: (make(settings, data.frames[name]), self._channels.get(name, _UNCOUNTED))
+            for name, make in compiled.items()
+            if name in ids
+        }
         for device, handler in (
             ("tension_cell", self._plain_cell_handler),
             ("inclinometer", self._plain_slope_handler),
         ):
             if device in plain:
-                handlers[plain[device].can_id] = handler(plain[device])
+                handlers[plain[device].can_id] = handler(plain[device]), _UNCOUNTED
         for node in nodes.values():
-            handlers[od.EMCY_BASE + node] = self._emergency_handler(node)
-            handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node)
-            handlers[od.SDO_RX_BASE + node] = self._sdo_request_handler(node)
-            handlers[od.SDO_TX_BASE + node] = self._sdo_answer_handler(node)
+            handlers[od.EMCY_BASE + node] = self._emergency_handler(node), _UNCOUNTED
+            handlers[od.HEARTBEAT_BASE + node] = self._heartbeat_handler(node), _UNCOUNTED
+            handlers[od.SDO_RX_BASE + node] = self._sdo_request_handler(node), _UNCOUNTED
+            handlers[od.SDO_TX_BASE + node] = self._sdo_answer_handler(node), _UNCOUNTED
         for can_id in rival_ids(settings):
-            handlers[can_id] = self._on_rival
+            handlers[can_id] = self._on_rival, _UNCOUNTED
         return handlers
 
     def notices(self) -> Notices | None:
@@ -200,6 +211,7 @@ class Inbox:
         if not self.heartbeats_t_ns:
             self.heartbeats_t_ns.update(dict.fromkeys(self._nodes, now_ns))
         receive, handlers, frames = self._bus.recv, self._handlers, self._frames
+        counts, bases = self._counts, self._bases
         for _ in range(MAX_FRAMES_PER_TICK):
             try:
                 message = receive(0)
@@ -218,13 +230,19 @@ class Inbox:
                 continue
             self.received += 1
             self.bus_t_ns = now_ns
-            handler = handlers.get(can_id) if ours else None
-            if handler is None:
+            found = handlers.get(can_id) if ours else None
+            if found is None:
                 continue
+            handler, channel = found
             try:
                 handler(data, now_ns)
             except ValueError:
                 self.refused += 1
+                continue
+            if channel != _UNCOUNTED:
+                if bases[channel] < 0:
+                    bases[channel] = syncs_sent
+                counts[channel] += 1
 
     def frames_missing(self) -> int:
         """Answers due to the SYNCs sent before this tick that have not come; late ones count until they come.
@@ -237,18 +255,12 @@ class Inbox:
                 missing += due - count
         return missing
 
-    def _count(self, i: int) -> None:
-        if self._bases[i] < 0:
-            self._bases[i] = self._syncs
-        self._counts[i] += 1
-
     def _cell_handler(self, _settings: RigSettings, layout: PdoLayout) -> Handler:
         decode = codecs.tension_decoder(layout)
 
         def on_cell(data: bytes | bytearray, now_ns: int) -> None:
             tension_n, quality = decode(data)
             self._take_cell(tension_n, quality, now_ns)
-            self._count(0)
 
         return on_cell
 
@@ -299,7 +311,6 @@ class Inbox:
         def on_slope(data: bytes | bytearray, now_ns: int) -> None:
             tangential, normal, quality = decode(data)
             self._take_slope(tangential, normal, quality, now_ns)
-            self._count(1)
 
         return on_slope
 
@@ -310,12 +321,10 @@ class Inbox:
             self.statusword, self.stroke_mm, self.speed_mm_s = decode(data)
             self.drive_t_ns = now_ns
             self.drive_fresh = True
-            self._count(2)
 
         def on_place(data: bytes | bytearray, now_ns: int) -> None:
             self.statusword, self._stroke_mm, _ = decode(data)
             self._stroke_t_ns = now_ns
-            self._count(2)
             if not self._speed_comes_last:
                 self._take_drive(now_ns)
 
@@ -327,7 +336,6 @@ class Inbox:
         def on_speed(data: bytes | bytearray, now_ns: int) -> None:
             self._speed_mm_s = decode(data)
             self._speed_t_ns = now_ns
-            self._count(5)
             if self._speed_comes_last:
                 self._take_drive(now_ns)
 
@@ -355,7 +363,6 @@ class Inbox:
             self.drive_status_t_ns = now_ns
             if self._drive_warms_cell:
                 self.cell.feel(self.drive_temperature_c, now_ns)
-            self._count(4)
 
         return on_drive_status
 
@@ -365,7 +372,6 @@ class Inbox:
         def on_temperature(data: bytes | bytearray, now_ns: int) -> None:
             self.cell.feel(decode(data), now_ns)
             self.warmth_t_ns = now_ns
-            self._count(6)
 
         return on_temperature
 
@@ -397,7 +403,6 @@ class Inbox:
             self.rail_quality = 0 if good else _INVALID
             self.rail_t_ns = now_ns
             self.rail_fresh = good
-            self._count(3)
 
         return on_rail
 
@@ -410,7 +415,6 @@ class Inbox:
         def on_second(data: bytes | bytearray, now_ns: int) -> None:
             value, quality = decode(data)
             second.take(value, quality, now_ns)
-            self._count(7)
 
         return on_second
 

@@ -49,6 +49,7 @@ class InclinationFilter:
         self.tangential, self.normal = Gate(noise.gate_sigma, burst), Gate(noise.gate_sigma, burst)
         self._ticks = 0  # since the state's time
         self._known = False
+        self._sampled = True  # in the tick before
         self._most_ahead = round(MOST_AHEAD_S / self._dt)
         self._x = (0.0, 0.0, 0.0, 0.0)
         self._gain = 0.0
@@ -57,6 +58,7 @@ class InclinationFilter:
 
     def update(self, tangential_rad: float, normal_rad: float) -> None:
         """Correct with a sample; the first one starts the filter."""
+        self._sampled = True
         kf = self._kf
         if not self._known:
             self._start(tangential_rad, normal_rad)
@@ -120,8 +122,10 @@ class InclinationFilter:
 
     def absent(self) -> None:
         """No sample in this tick."""
-        self.tangential.absent()
-        self.normal.absent()
+        if self._sampled:
+            self._sampled = False
+            self.tangential.absent()
+            self.normal.absent()
 
     def pass_ticks(self, periods: int) -> None:
         """Advance the time by ``periods`` ticks."""

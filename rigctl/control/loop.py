@@ -214,7 +214,7 @@ class Loop:
         if self.stop_requested and not machine.stopping:
             self._end(t_ns)
         orders.prepare(t_ns)
-        if machine.taking or machine.resetting:
+        if machine.pending is not None and (machine.taking or machine.resetting):
             fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
             if machine.follow_drive(
                 snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted, cause_present=cause
@@ -238,8 +238,9 @@ class Loop:
         elif machine.mode is Mode.RELEASING and self._lowered(estimate):
             machine.on(Event.SLACK)
         done = machine.outcome()
-        self._done = self._done.then(done)
-        self._begin_modes(done.changes, estimate)
+        if done is not NOTHING:
+            self._done = self._done.then(done)
+            self._begin_modes(done.changes, estimate)
 
     def _begin_modes(self, changes: Sequence[Change], estimate: Estimate) -> None:
         """Start what a change of mode needs: ramp, sign check, travel, a new latch of the stroke."""
@@ -374,8 +375,12 @@ class Loop:
         )  # fmt: skip
         if self.learning is not None:
             logbook.moves(t_ns, self.learning.news)
-        done, self._done = self._done.then(machine.outcome()), NOTHING
-        logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
+        done, late = self._done, machine.outcome()
+        if late is not NOTHING:
+            done = done.then(late)
+        if done is not NOTHING:
+            self._done = NOTHING
+            logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
         limits, causes = self._watch.reports()
         for limit, begins in limits:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
@@ -383,7 +388,8 @@ class Loop:
             if not begins or cause != self._tripped:  # the trip's own event has reported this cause
                 logbook.trip(t_ns, Kind.CAUSE if begins else Kind.CAUSE_OVER, cause)
         self._tripped = None
-        self._orders.reply(t_ns, done.answers)
+        if done is not NOTHING:
+            self._orders.reply(t_ns, done.answers)
         logbook.bus_notices(t_ns, self.inbox.notices(), self.readback.report(), self.inbox, self.outbox)
         if observer.just_skipped >= SKIP_NOTICE:
             logbook.notice(t_ns, Kind.CLOCK, observer.just_skipped, 0)
@@ -441,6 +447,8 @@ class Loop:
     def _undo_parking(self, t_ns: int) -> None:
         """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong."""
         first = self._first_second
+        if not first.parks:
+            return
         first.look(self.observer.snapshot, moves=bool(self._watch.standing & _MOVES_BIT))
         if not first.sank_mm or self._watch.standing & ~SLIP_BITS:
             return

@@ -50,7 +50,8 @@ class NoProbe:
                 )
             else:
                 travel.end()
-        self.travel = max(self._regulated, self._ramped, key=lambda travel: travel.excess_n)
+        ramped, regulated = self._ramped, self._regulated
+        self.travel = ramped if ramped.excess_n > regulated.excess_n else regulated
 
     def found_stiffness(self, n_mm: float) -> None:
         """The sign check has found this stiffness."""

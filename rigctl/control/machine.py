@@ -68,7 +68,7 @@ class Outcome(NamedTuple):
 
     def then(self, later: Outcome) -> Outcome:
         """This and what was done later."""
-        return self if later is NOTHING else Outcome(self.changes + later.changes, self.answers + later.answers)
+        return Outcome(self.changes + later.changes, self.answers + later.answers)
 
 
 NOTHING = Outcome()
@@ -103,7 +103,8 @@ class Machine:
         self._answers: list[Answer] = []
         self._pending: PendingCommand | None = None
         self._pending_until = 0
-        self._powered = False
+        self.drive_wanted = False
+        """The motor carries the load, so the drive has to be enabled."""
         self._trial: tuple[int, Verb] | None = None
         self._disarming: tuple[int, int] | None = None
 
@@ -154,7 +155,7 @@ class Machine:
     @property
     def watched_mode(self) -> Mode:
         """The mode whose rows of the safety table apply: an arming drive is watched as in HOLD."""
-        return Mode.HOLD if self.taking and self.mode is Mode.DISARMED else self.mode
+        return Mode.HOLD if self.mode is Mode.DISARMED and self.taking else self.mode
 
     @property
     def silent(self) -> bool:
@@ -171,12 +172,7 @@ class Machine:
         if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
             cut = self.action is Action.POWER_OFF and t_ns >= self._cut_at_ns
             return Power.CUT if cut else Power.QUICK_STOP
-        return Power.ON if self._powered and drive_enabled else Power.OFF
-
-    @property
-    def drive_wanted(self) -> bool:
-        """The motor carries the load, so the drive has to be enabled."""
-        return self._powered
+        return Power.ON if self.drive_wanted and drive_enabled else Power.OFF
 
     def park(self, *, went_off: bool = False) -> None:
         """The brake takes the load: the drive stops, closes it and goes off; the mode stays.
@@ -186,7 +182,7 @@ class Machine:
         self.armed &= not went_off
         if self.trial in modes.NEEDS_MOTOR:  # a tare or a calibration only reads, and goes on
             self.end_trial(Refusal.ABORTED)
-        self._powered, self.carry_until_ns = False, 0
+        self.drive_wanted, self.carry_until_ns = False, 0
 
     def undo_parking(self, trip: Trip, t_ns: int) -> bool:
         """The brake slips at once: the motor takes the load back, as by CARRY, with a fault latched.
@@ -194,7 +190,7 @@ class Machine:
         Returns whether it does: not where the power was taken off or the rig disarmed, or a command is on its way.
         """
         stopped = self.fault is not Fault.NONE and self.action > Action.HOLD
-        parked = self.armed and not self._powered and self.mode.parks
+        parked = self.armed and not self.drive_wanted and self.mode.parks
         tests = self.awaiting and self.pending is Verb.BRAKE_TEST
         if not parked or stopped or self.stopping or (self._pending is not None and not tests):
             return False
@@ -219,7 +215,7 @@ class Machine:
         """
         if trip.fault.bit & SLIP_BITS and self.taking and self.mode is Mode.FAULT:
             return False  # the motor takes the load because the brake slips
-        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and self._powered
+        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and self.drive_wanted
         action = trip.action if ramps else max(trip.action, Action.HOLD)
         if trip.at_once and self.action is Action.POWER_OFF:
             self._cut_at_ns = min(self._cut_at_ns, t_ns)
@@ -228,7 +224,7 @@ class Machine:
         if self.fault is Fault.NONE:
             self.fault = trip.fault
         if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
-            self._powered = self.armed = False
+            self.drive_wanted = self.armed = False
             self._cut_at_ns = t_ns + self._cut_after_ns
         if trip.at_once:
             self._cut_at_ns = t_ns
@@ -247,7 +243,7 @@ class Machine:
             ends=self.stopping,
             silent=self.silent,
             left_alone=t_ns - self._silent_at_ns >= SUPERVISED_NS,
-            powered=self._powered,
+            powered=self.drive_wanted,
             pending=situation.pending if self._pending is None else self._pending.verb,
             disarming=self.disarming,
             tries=self._trial is not None,
@@ -270,7 +266,7 @@ class Machine:
         carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
         if verb is Verb.BRAKE_TEST:
             self.park()
-        if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self._powered):
+        if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self.drive_wanted):
             event = Event.ENABLED if verb is Verb.ARM else decision.event
             self._pending = PendingCommand(id_, verb, event, carry_ns)
             self._pending_until = t_ns + ARM_LIMIT_NS
@@ -334,7 +330,7 @@ class Machine:
                 if self.mode is Mode.FAULT:  # whatever the drive does now, its brake has to close
                     self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
             return False
-        self._powered, self._pending = True, None
+        self.drive_wanted, self._pending = True, None
         if pending.verb in modes.TRIED_IN and pending.id is not None:
             self._trial = pending.id, pending.verb
             return False
@@ -383,7 +379,7 @@ class Machine:
 
     def power_off(self) -> None:
         """Let the drive close its brake and go off, in any mode, as the last act of a stop."""
-        self._powered = False
+        self.drive_wanted = False
 
     def carry_back(self, t_ns: int) -> None:
         """The brake does not hold the load that it has been tested with: the motor takes it, as by CARRY."""
@@ -396,7 +392,7 @@ class Machine:
             case Verb.RESET:
                 self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
             case Verb.DISARM:
-                self._powered = self.armed = False
+                self.drive_wanted = self.armed = False
                 self.carry_until_ns = 0
             case Verb.CARRY:
                 self.action, self.carry_until_ns = Action.HOLD, t_ns + carry_ns
@@ -413,9 +409,9 @@ class Machine:
         self.mode = after
         self.end_trial(Refusal.ABORTED)
         if event is Event.ENABLED:
-            self._powered = self.armed = True
+            self.drive_wanted = self.armed = True
         elif after is Mode.DISARMED:
-            self._powered = self.armed = False
+            self.drive_wanted = self.armed = False
         self._changes.append(Change(before, after, event))
 
     def _finish_pending(self, refusal: Refusal) -> None:

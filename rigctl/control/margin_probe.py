@@ -56,22 +56,18 @@ class Probe:
         self._wait = round(SETTLED_S * rate)
         self._growth = 1.0 / (GROW_S * rate)
         self._settled = self.place = 0
-        self._grown = 0.0
-
-    @property
-    def whole(self) -> bool:
-        """It is on at its full size."""
-        return self._grown >= 1.0
+        self._grown, self.whole = 0.0, False
 
     def speed_mm_s(self, error_n: float, *, free: bool) -> float:
         """Speed of this tick; ``error_n`` of the vertical tension, ``free``: COMPENSATING at rest, see `LoopProbe`."""
         if not free or not -self._bound_n < error_n < self._bound_n:
-            self._settled, self._grown = 0, 0.0
+            self._settled, self._grown, self.whole = 0, 0.0, False
             return 0.0
         if self._settled < self._wait:
             self._settled += 1
             return 0.0
         if self._grown < 1.0:
             self._grown = min(1.0, self._grown + self._growth)
+            self.whole = self._grown >= 1.0
         self.place = self.place + 1 if self.place + 1 < len(self._speeds) else 0
         return self._grown * self._speeds[self.place]

@@ -100,6 +100,7 @@ class Observer:
         self._errors_before = self._no_current_ns = 0  # error frames older than a second; last tick that shows no power
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
+        self.slack = True  # the rope does not pull
         # Plain frames come at the device's own time: a SYNC says nothing about them.
         by_sync = settings.tension_cell.dbc is None
         self._sync_timing = SyncTiming(1.0 / settings.loop.rate_hz) if by_sync else None
@@ -117,11 +118,6 @@ class Observer:
         self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
-
-    @property
-    def slack(self) -> bool:
-        """The rope does not pull."""
-        return self.tension_n < self._slack_n
 
     def look(self, now_ns: int, skipped: int) -> None:
         """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
@@ -155,7 +151,11 @@ class Observer:
             now_ns, state, self._outbox.controlword, snapshot.still_ns,
             heard=snapshot.drive_heard, current=snapshot.drive_current_flows,
         )  # fmt: skip
-        self._look_at_sinking(now_ns)
+        sinking = self._sinking
+        sinking.look(now_ns, snapshot)
+        snapshot.sink_mm_s, snapshot.sink_apart_mm, snapshot.sink_left_mm = (
+            sinking.speed_mm_s, sinking.apart_mm, sinking.left_mm,
+        )  # fmt: skip
         self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
@@ -164,7 +164,7 @@ class Observer:
         snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
         snapshot.rival_age_ns, snapshot.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
-        snapshot.error_frames = self._recent_error_frames(now_ns)
+        snapshot.error_frames = self._recent_error_frames(now_ns) if inbox.error_frames else 0
         snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         snapshot.device_restarted = inbox.restarted
         snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
@@ -177,7 +177,7 @@ class Observer:
         snapshot.runaway_mm_s = figures.runaway_mm_s
         snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
         snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
-        snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.cell_step_n
+        snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.step.step_n
 
     def look_at_control(self, t_ns: int, commanded_ns: int, travel_from: tuple[float, float]) -> None:
         """Add to the snapshot what the loop itself wants and has found; after `look`.
@@ -209,10 +209,10 @@ class Observer:
         snapshot.probe_words = probe.words
         snapshot.unseen_n, snapshot.unseen_bound_n = travel.unseen_n, travel.bound_n
         snapshot.unseen_excess_n = travel.excess_n
-        slack, tensioning = self.slack, machine.mode is Mode.TENSIONING
+        tensioning = machine.mode is Mode.TENSIONING
         self._take_up.look(
             snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, law.target_n,
-            slack=slack, tensioning=tensioning,
+            slack=self.slack, tensioning=tensioning,
         )  # fmt: skip
         snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
         snapshot.taken_up_excess_n = self._take_up.excess_n
@@ -235,7 +235,8 @@ class Observer:
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         snapshot.slope_words = self._signs.words
-        self.look_at_settings()
+        if self._readback.lost or snapshot.settings_lost:
+            self.look_at_settings()
 
     @property
     def shown_off(self) -> bool:
@@ -304,13 +305,6 @@ class Observer:
         snapshot.drive_has_current = now_ns - self._no_current_ns >= CURRENT_NS
         snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
-    def _look_at_sinking(self, now_ns: int) -> None:
-        """Motion of the load on the closed brake."""
-        sinking, snapshot = self._sinking, self.snapshot
-        sinking.look(now_ns, snapshot)
-        snapshot.sink_mm_s, snapshot.sink_apart_mm = sinking.speed_mm_s, sinking.apart_mm
-        snapshot.sink_left_mm = sinking.left_mm
-
     def _look_at_fitted(self, now_ns: int) -> None:
         """What only some rigs have."""
         inbox, snapshot = self.inbox, self.snapshot
@@ -350,7 +344,8 @@ class Observer:
             ahead.pass_ticks(1 + skipped)
         if inbox.cell_fresh:
             self.tension_n = inbox.tension_n
-        if self.tension_n < self._slack_n:
+            self.slack = inbox.tension_n < self._slack_n
+        if self.slack:
             self.tight_ns = self.snapshot.t_ns
             kalman.reset(self.tension_n, inbox.speed_mm_s)
             kalman.known_mm_s = self.run_out_mm_s = 0.0
@@ -360,7 +355,8 @@ class Observer:
             if self._run_out is not None:
                 self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
             kalman.known_mm_s = stretch_mm_s + self.run_out_mm_s
-            kalman.late_s = self._latched_late_s()
+            timing = self._sync_timing  # where no SYNC latches the samples, none is late
+            kalman.late_s = timing.late_s(self._outbox.synced_ns, self._last_grid_ns) if timing is not None else 0.0
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
             )
@@ -381,17 +377,13 @@ class Observer:
             disturbance_mm_s += self._run_out.lead_mm_s
         return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm, lead_mm_s)
 
-    def _latched_late_s(self) -> float:
-        """How much later than usual the newest samples were latched; 0 where no SYNC latches them."""
-        timing = self._sync_timing
-        return 0.0 if timing is None else timing.late_s(self._outbox.synced_ns, self._last_grid_ns)
-
     def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.correct(correction, held_s=held_s, history=history)
         self._held_tension.follow()
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
+            self.slack = self.tension_n < self._slack_n
             self.filter.reset(self.tension_n, self.inbox.speed_mm_s)
 
     def _recent_error_frames(self, now_ns: int) -> int:

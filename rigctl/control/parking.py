@@ -67,7 +67,7 @@ class FirstSecond:
     """The first second after a parking, in which a brake that slips is found by stroke and tension together.
 
     ``sank_mm``: how far the load has sunk on the closed brake, shown by both; 0 otherwise. Later, or by one of them
-    alone, nothing is switched on but by CARRY.
+    alone, nothing is switched on but by CARRY. ``parks``: the second is not over.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -82,11 +82,11 @@ class FirstSecond:
     def begin(self, snapshot: Snapshot) -> None:
         """The brake is to take the load. A motor that has not held it at standstill is not to have it back."""
         self.end()
-        self._parks = snapshot.drive_enabled and snapshot.still_ns >= STILL_NS
+        self.parks = snapshot.drive_enabled and snapshot.still_ns >= STILL_NS
 
     def end(self) -> None:
         """The second is over, or something else has been decided about the load."""
-        self._parks = False
+        self.parks = False
         self.sank_mm = 0.0
         self._from_mm = self._from_n = self._tension_n = math.nan
         self._closed = False
@@ -97,8 +97,6 @@ class FirstSecond:
         ``moves``: STROKE_MOVES is active, which no play is: the way counts from the motor's end on then. Its 0.2 s may
         be over before the brake's time is.
         """
-        if not self._parks:
-            return
         unseen = not (snapshot.cell_heard and snapshot.drive_heard) or snapshot.cell_quality
         if unseen or not math.isfinite(snapshot.tension_n + snapshot.stroke_mm) or snapshot.power.first_second_over:
             self.end()

@@ -66,7 +66,7 @@ class Plausibility:
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
     beside it. ``unexplained_mm``: stretch by the tension that the stroke does not explain. ``cell_repeats``: samples in
     a row with the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms, in which a single
-    step counts little. ``tension_rate_n_s``: low-passed by 5 ms.
+    step counts little. ``tension_rate_n_s``: low-passed by 5 ms. ``step``: of the tension, that has just stayed.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -85,7 +85,7 @@ class Plausibility:
             self._yield_share = 1.0 - math.exp(-dt * math.sqrt(1e3 * plant.mechanism_n_mm / plant.payload_kg))
         self._yielded_mm = math.nan
         self._unrest_share = dt / UNREST_S
-        self._step, self._unmeasured = CellStep(settings), 0  # ticks since the cell's newest sample
+        self.step, self._unmeasured = CellStep(settings), 0  # ticks since the cell's newest sample
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
         self.speed_error_mm_s = self.stroke_error_mm = self.contradiction_mm = self.unexplained_mm = 0.0
         self.cell_repeats, self.cell_unrest_n, self.tension_rate_n_s = 0, 0.0, 0.0
@@ -141,13 +141,8 @@ class Plausibility:
         allowed_mm_s = TAKING_MM_S_N * max(0.0, inbox.tension_n) if taking else 0.0
         self.runaway_mm_s = max(0.0, self._beyond_mm_s - allowed_mm_s) if self._growths >= GROWTHS else 0.0
 
-    @property
-    def cell_step_n(self) -> float:
-        """A step of the tension that has just stayed."""
-        return self._step.step_n
-
     def _look_at_cell(self, inbox: Inbox, slack: bool) -> None:
-        self._step.look(inbox.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
+        self.step.look(inbox.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
         self._unmeasured = 0
         step_n = abs(inbox.reading_n - self._repeated_n)
         self.cell_repeats = self.cell_repeats + 1 if step_n == 0.0 else 0

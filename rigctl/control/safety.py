@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
-from operator import gt, lt
+from itertools import repeat
+from operator import call, gt, lt
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
@@ -449,7 +450,7 @@ class _Watched:
 
     def compute(self, snapshot: Snapshot) -> list[float]:
         """Values of the ``computed`` rows; call it once a tick, because a rate is the change since the last call."""
-        return [read(snapshot) for read in self._reads]
+        return list(map(call, self._reads, repeat(snapshot)))
 
     def may_be_bad(self, snapshot: Snapshot, computed: Sequence[float]) -> bool:
         """Whether a row is bad, or so near to it that its value has to be looked at."""

@@ -31,7 +31,7 @@ class UnseenTravel:
         """``detection_s``: of a frozen cell; ``step_s``: between two judgements of the probe."""
         plant, safety = settings.plant, settings.safety
         self.stiffness_n_mm, self._length_mm = plant.slow_stiffness_n_mm, plant.rope_length_mm
-        self._settings = settings
+        self._least_n = LEAST_MM * self.stiffness_n_mm
         self._heave_mm = (safety.heave_mm or 0.0) + LATCH_MM
         self._in_time_mm = frozen_mm(settings, detection_s) + LATCH_MM
         self._stop_s = plant.cylinder_lag_s + plant.command_delay_s + STOP_S
@@ -56,7 +56,7 @@ class UnseenTravel:
         unseen_n = self.stiffness_n_mm * (stretch_mm - from_mm) - (tension_n - from_n)
         if judged:
             self._known.append(unseen_n)
-        bound_n = share_n(self._settings, setpoint_n) + TOLERANCE * abs(tension_n - from_n)
+        bound_n = max(SHARE * setpoint_n, self._least_n) + TOLERANCE * abs(tension_n - from_n)
         lately_n = unseen_n - self._known[0]
         stop_n = self.stiffness_n_mm * speed_mm_s * self._stop_s
         whole_n, lately_n = abs(unseen_n + stop_n), abs(lately_n + stop_n)

@@ -115,6 +115,6 @@ def test_the_gain_in_use_lies_between_the_settled_ones(level: float, monkeypatch
     assert opening is not None
     monkeypatch.setattr(type(opening), "look", lambda _self, _z: None)
     opening.level = level
-    before, small = np.array(kalman._state()), 0.01
+    before, small = np.array(kalman.state), 0.01
     kalman.update(300.0 + small, 0.0)
-    assert (np.array(kalman._state()) - before) / small == pytest.approx(expected[:, 0], rel=1e-6, abs=1e-9)
+    assert (np.array(kalman.state) - before) / small == pytest.approx(expected[:, 0], rel=1e-6, abs=1e-9)
