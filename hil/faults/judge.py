@@ -120,8 +120,7 @@ def judge(
     if run.command is Verb.RELEASE and run.refusal is Refusal.PREFLIGHT:
         findings.append("a check bars the release of the load")
     off_late_s, off_before = fault.shown_late_ms * 1e-3, fault.around.parked
-    false = false_statements(run, settings, off_late_s=off_late_s, off_before=off_before)
-    findings += beyond_known(false, fault.id, mode)
+    findings += false_statements(run, settings, off_late_s=off_late_s, off_before=off_before)
     return FaultResult(
         fault.id,
         mode.name + ("_PARKED" if fault.around.parked else ""),
@@ -135,7 +134,7 @@ def judge(
         stroke_mm,
         carried,
         Fault(int(run.records["fault"][-1])).name,
-        tuple(findings),
+        tuple(beyond_known(findings, fault.id, mode)),
     )
 
 

@@ -45,7 +45,14 @@ BUS = (
         RIDE,
         around=Around(motion=in_plant.heaving),
     ),
-    InjectedFault("frames_late_20ms", "the devices' frames come 20 ms late", on_bus.late(20), PASSING, within_ms=20),
+    InjectedFault(
+        "frames_late_20ms",
+        "the devices' frames come 20 ms late",
+        on_bus.late(20),
+        PASSING,
+        within_ms=20,
+        shown_late_ms=20,
+    ),
     _harmless("frames_reordered", "neighbouring frames swap places", on_bus.reordered()),
     _harmless(
         "length_wrong_1pct",
