@@ -93,6 +93,10 @@ class Sequence:
         self._anchor_mm, self.tested = None, None
         self._over = not (tests and (longer or self._settings.cylinder.brake_test))
 
+    def note_slip(self, moved_mm: float) -> None:
+        """The load has moved by so much on the closed brake, before the test under way began."""
+        self.moved_mm = moved_mm
+
     def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> ArmingStep:
         """One tick; READY lets the drive be switched on."""
         if self._anchor_mm is not None and not self._over:

@@ -46,7 +46,7 @@ class BrakeFlag:
     """``fails``: the brake does not hold; ``why``: what has set it. ``slipped_n``: the load then, NaN not known.
 
     ``assumed``: whether it holds is not known, so that it counts as one that does not. ``changed``: the flag has been
-    set or cleared since the loop last took note.
+    set or cleared since the loop last took note, ``shown``: as it was then.
     """
 
     def __init__(self, settings: RigSettings, rope: RopeMemory, kept: KeptBrake = KeptBrake()) -> None:
@@ -57,6 +57,7 @@ class BrakeFlag:
         self._most_n = settings.tension.target_max_n
         self._fall_n = FALLS * fall_limit_n(settings)
         self.fails = self.changed = kept.fails
+        self.shown = False
         self.why, self.assumed = kept.why or _KNOWN_BEFORE, bool(kept.why)
         self.slipped_n = math.nan if kept.slipped_n is None else kept.slipped_n
         # A load that hangs on the brake at a start is not the one at which it slipped in a loop before.
@@ -106,6 +107,10 @@ class BrakeFlag:
         if self._falls_since_ns is None:
             self._falls_since_ns = snapshot.t_ns
         return snapshot.t_ns - self._falls_since_ns >= FALLS_NS
+
+    def noted(self) -> None:
+        """The loop has taken note of the change."""
+        self.shown, self.changed = self.fails, False
 
     def set(self, why: str) -> None:
         """The brake does not hold."""

@@ -158,9 +158,7 @@ class TensionFilter:
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
-        """f: the known part of the disturbance, from inclination and run-out table."""
-        self.late_s = 0.0
-        """How much later than the others the samples of the next `update` were latched."""
+        """f, see `update`."""
         self.refused = 0
         self.reset(0.0, 0.0)
 
@@ -196,8 +194,9 @@ class TensionFilter:
         self.opening = Opening(window, model.open_sigma, model.quiet_after_s / model.period_s, mean_n2)
         return _SettledGain(tension, speed, prior, variances, _row(quiet[:, 0] - gain[:, 0]), variance_n2)
 
-    def reset(self, tension_n: float, speed_mm_s: float) -> None:
+    def reset(self, tension_n: float, speed_mm_s: float, known_mm_s: float = 0.0) -> None:
         """Start again from a measurement, with the disturbance at zero, as a slack rope does not show it."""
+        self.known_mm_s = known_mm_s
         kf = self._kf
         kf.x = np.zeros((3, 1))
         kf.x[0, 0], kf.x[1, 0] = tension_n, speed_mm_s
@@ -213,7 +212,7 @@ class TensionFilter:
         target = self._target or self._settled_gain()
         self._x, self._settled, self._prior = self.state, target, target.prior
         if self.opening is not None:
-            self.opening.level = 0.0
+            self.opening.close()
 
     def take_over(self, other: TensionFilter) -> None:
         """Go on from the state of another filter with this one's settled gain, wholly open.
@@ -235,14 +234,24 @@ class TensionFilter:
         if self.opening is not None:
             self.opening.open()
 
-    def update(self, tension_n: float | None, speed_mm_s: float | None) -> None:
-        """Correct with the newest samples; ``None`` is absent, a non-finite sample is counted and skipped."""
+    def update(
+        self, tension_n: float | None, speed_mm_s: float | None, known_mm_s: float = 0.0, late_s: float = 0.0
+    ) -> None:  # fmt: skip
+        """Correct with the newest samples; ``None`` is absent, a non-finite sample is counted and skipped.
+
+        Args:
+            tension_n: of the cell.
+            speed_mm_s: of the drive.
+            known_mm_s: f from now on: the known part of the disturbance, from inclination and run-out table.
+            late_s: how much later than the others these samples were latched.
+        """
+        self.known_mm_s = known_mm_s
         if not math.isfinite((tension_n or 0.0) + (speed_mm_s or 0.0)):
             tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
         t, v, w = self.state
-        if self.late_s:  # what they moved on since the time of the state
+        if late_s:  # what they moved on since the time of the state
             _, to_tension, _, kept, driven = self._rows
-            periods = self.late_s / self.model.period_s
+            periods = late_s / self.model.period_s
             if tension_n is not None:
                 tension_n -= to_tension * (v + w + self.known_mm_s) * periods
             if speed_mm_s is not None:

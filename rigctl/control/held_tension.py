@@ -137,6 +137,10 @@ class HeldTension:
         self._on_brake = self.lost = False
         self._seen_s = 0.0
 
+    def forget_loss(self) -> None:
+        """A load that is gone has been taken off on purpose."""
+        self.lost = False
+
     def watch(self, snapshot: Snapshot, ticks: int, *, latched: bool) -> None:
         """One tick, ``ticks`` after the last; ``latched``: the stroke has come to rest and is latched."""
         self._clear()

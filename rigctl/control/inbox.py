@@ -480,7 +480,7 @@ class Inbox:
             if node == self._rail_node:
                 self._rail_in_error = error
             elif self.second is not None and node == self.second.node:
-                self.second.in_error = error
+                self.second.report(in_error=error)
             elif node == self._drive_node:
                 self.drive_emergency = node << 16 | code if error else 0
                 if code == od.EmcyCode.EXTERNAL and self._e_stop_bit:
@@ -504,7 +504,7 @@ class Inbox:
                 if node == self._rail_node:  # only the run-out table needs it
                     self._rail_restarted = True
                 elif self.second is not None and node == self.second.node:  # the cell leads without it
-                    self.second.restarted = True
+                    self.second.restart()
                 else:
                     self.restarted = True
             if self.states.get(node) != state and len(self._notices.node_states) < MAX_NOTICES:

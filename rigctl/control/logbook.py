@@ -77,28 +77,29 @@ class Logbook:
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
         self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
         self._failures = self._receive_failures = 0
-        self.tick = 0
 
     def record(  # noqa: PLR0915 - one line for each field of the record
-        self, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer, law: TensionLaw,
-        outbox: Outbox, command_seq: int, causes: int, checks: int, *, arming: bool, stroke_known: bool,
-        carries: bool, end_s: float, slipped_n: float, move: int = 0,
+        self, tick: int, t_ns: int, lateness_ns: int, work_ns: int, machine: Machine, observer: Observer,
+        law: TensionLaw, outbox: Outbox, command_seq: int, causes: int, checks: int, *, arming: bool,
+        stroke_known: bool, carries: bool, end_s: float, slipped_n: float, brake_fails: bool, added_mm_s: float,
+        learned_mm_s: float, move: int,
     ) -> None:  # fmt: skip
         """The record of this tick.
 
         ``work_ns`` is of the tick before, ``command_seq`` is the last command taken.
         ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
-        ``slipped_n``: see `rigctl.control.brake_flag.BrakeFlag`.
+        ``slipped_n``, ``brake_fails``: see `rigctl.control.brake_flag.BrakeFlag`. ``added_mm_s``, ``learned_mm_s``: to
+        the law's command, by a trial or the probe, and by a move that was learnt.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
-        flags |= (0 if stroke_known else _UNCONFIRMED) | (_BRAKE_FAILS if machine.brake_fails else 0)
+        flags |= (0 if stroke_known else _UNCONFIRMED) | (_BRAKE_FAILS if brake_fails else 0)
         flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.shown_off else 0)
         flags |= _CARRIES if carries else 0
         values = self._values
         values.t_ns = t_ns
-        values.tick = self.tick
+        values.tick = tick
         values.skipped = observer.skipped
         values.lateness_ns = lateness_ns
         values.work_ns = work_ns
@@ -139,7 +140,7 @@ class Logbook:
         values.statusword = inbox.statusword
         values.controlword = outbox.controlword
         values.command_mm_s = law.command_mm_s
-        values.excitation_mm_s = law.added_mm_s
+        values.excitation_mm_s = added_mm_s
         values.sensitivity_peak, values.sensitivity_peak_error = (
             observer.sensitivity_peak,
             observer.sensitivity_peak_error,
@@ -181,7 +182,7 @@ class Logbook:
         values.rail_rad = inbox.rail_rad
         values.rail_quality = inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
         values.run_out_mm_s = observer.run_out_mm_s
-        values.learned_mm_s = law.learned_mm_s
+        values.learned_mm_s = learned_mm_s
         values.move = move
         values.drive_current_a = snapshot.drive_current_a
         values.drive_temperature_c = snapshot.drive_temperature_c

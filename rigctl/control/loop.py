@@ -143,7 +143,8 @@ class Loop:
             supervised=supervised,
         )  # fmt: skip
         self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
-        self._failing = 0  # ticks in a row that ended in an exception
+        self._failing = self._tick = 0  # ticks in a row that ended in an exception; the tick's number
+        self._added_mm_s = self._learned_mm_s = 0.0  # to the law's command: by trial or probe; by a move learned
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
         for index, value, left in found:
             logbook.event(started_ns, Kind.FOUND_AT_START, settings.cylinder.node, index << 8, value, left)
@@ -188,7 +189,7 @@ class Loop:
     def _receive(self, t_ns: int, now_ns: int, skipped: int) -> None:
         inbox, observer, machine = self.inbox, self.observer, self.machine
         inbox.drain(now_ns, self.outbox.syncs)
-        self._logbook.tick += 1 + skipped
+        self._tick += 1 + skipped
         observer.look(now_ns, skipped)
         if inbox.drive_fresh:
             found = self.homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
@@ -278,28 +279,30 @@ class Loop:
             mode is Mode.COMPENSATING and trial is None and law.setpoint_n == law.target_n,
             1 + self.observer.just_skipped,
         )
-        law.added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
+        added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
         if trial is not None and trial.moves:
-            law.added_mm_s = trial.wanted_mm_s
-        untold_mm_s = 0.0  # added where the filter is to see its effect only, as that of a disturbance
+            added_mm_s = trial.wanted_mm_s
+        self._added_mm_s = added_mm_s
+        unfiltered_mm_s = 0.0  # added where the filter is to see its effect only, as that of a disturbance
         if self.learning is not None:
-            law.learned_mm_s = self._learned(self.learning, mode)
+            self._learned_mm_s = self._learned(self.learning, mode)
+        whole_mm_s = added_mm_s + self._learned_mm_s
         if not self.observer.snapshot.drive_enabled:
             law.follow_speed(0.0)
             law.hold(estimate, self._correction(powered=False))
             speed_mm_s = 0.0
         elif mode is Mode.TENSIONING:
-            speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s)
+            speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s, whole_mm_s)
         elif mode is Mode.COMPENSATING:
-            speed_mm_s, untold_mm_s = law.compensating(estimate, cosine), law.added_mm_s
+            speed_mm_s, unfiltered_mm_s = law.compensating(estimate, cosine, whole_mm_s), added_mm_s
         elif mode is Mode.RELEASING:
-            speed_mm_s = self._releasing(estimate, cosine)
+            speed_mm_s = self._releasing(estimate, cosine, whole_mm_s)
         elif mode is Mode.HOLD and trial is not None and trial.moves:
-            speed_mm_s = law.limited(law.added_mm_s, estimate.stroke_mm)
+            speed_mm_s = law.limited(added_mm_s, estimate.stroke_mm)
         else:
             powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
             speed_mm_s = law.hold(estimate, self._correction(powered=powered))
-        self.observer.filter.command(speed_mm_s - untold_mm_s)
+        self.observer.filter.command(speed_mm_s - unfiltered_mm_s)
         if self._table is not None and mode.moves_stroke:
             self._follow_table(self._table, estimate.stroke_mm)
         return speed_mm_s
@@ -312,7 +315,7 @@ class Loop:
         observer, law = self.observer, self.law
         entry = table.look(law.rope_setpoint_n, stroke_mm, observer.filter)
         if entry is not None:
-            observer.filter = entry.filter
+            observer.change_filter(entry.filter)
             law.change_gains(entry.gains, entry.stiffness_n_mm)
             self._logbook.event(observer.snapshot.t_ns, Kind.GAINS, text=entry.gains.text)
 
@@ -368,8 +371,9 @@ class Loop:
         arming = machine.pending is not None or machine.disarming or self.readback.reading_all
         carries = (self.brake.fails or arming or machine.carry_until_ns > 0) and self._carries
         logbook.record(
-            t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
+            self._tick, t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
+            added_mm_s=self._added_mm_s, learned_mm_s=self._learned_mm_s, brake_fails=self.brake.shown,
             arming=arming, stroke_known=self.homed.known, carries=carries, end_s=self._ending.left_s,
             slipped_n=self.brake.slipped_n, move=0 if self.learning is None else self.learning.number,
         )  # fmt: skip
@@ -471,8 +475,8 @@ class Loop:
 
     def _take_note_of_brake(self, t_ns: int) -> None:
         """The brake is known not to hold from now on, or to hold again."""
-        brake, self.brake.changed = self.brake, False
-        self.machine.brake_fails = brake.fails
+        brake = self.brake
+        brake.noted()
         tension_n, wanted_n = number(self._rope.tension_n), brake.wanted_n if brake.fails else 0.0
         text = brake.why.encode()[:80]
         self._logbook.event(t_ns, Kind.BRAKE_FLAG, int(brake.fails), int(brake.assumed), tension_n, wanted_n, text)
@@ -490,13 +494,13 @@ class Loop:
         found = self._watch.strongest(snapshot, heeded) if heeded else None
         return found and replace(found, action=max(found.action, Action.QUICK_STOP))
 
-    def _releasing(self, estimate: Estimate, cosine: float) -> float:
+    def _releasing(self, estimate: Estimate, cosine: float, added_mm_s: float) -> float:
         """Lower the load by the tension, or by the encoder alone where the cell is in doubt."""
         lowering_mm_s = None
         if self._on_motor:
             lowering_mm_s = self._carried.lowering_mm_s(estimate.stroke_mm)
         if lowering_mm_s is None:
-            return self.law.releasing(estimate, cosine)
+            return self.law.releasing(estimate, cosine, added_mm_s)
         return self.law.limited(lowering_mm_s, estimate.stroke_mm)
 
     def _lowered(self, estimate: Estimate) -> bool:
@@ -538,7 +542,7 @@ class Loop:
             latched = math.isfinite(hold.reference_mm)
             self._held_tension.watch(snapshot, 1 + self.observer.just_skipped, latched=latched)
             if machine.mode is Mode.DISARMED and not machine.taking:  # hands have lifted it off the brake: no loss
-                self._held_tension.lost = False
+                self._held_tension.forget_loss()
 
     def _correction(self, *, powered: bool) -> float:
         """Speed in mm/s that brings a held stroke back to its latch."""
@@ -620,7 +624,7 @@ class Loop:
             else:
                 self.outbox.command(word, 0.0, t_ns)
         except Exception:  # noqa: BLE001 - the bus itself fails: the drive stops by its own supervision
-            self.outbox.failures += 1
+            self.outbox.count_failure()
         self.law.follow_speed(0.0)
         self.observer.filter.command(0.0)
         self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0), t_ns)

@@ -94,8 +94,6 @@ class Machine:
         """An accepted command waits for the sequence of `rigctl.control.arming`, before the drive's power."""
         self.carry_until_ns = 0
         """In FAULT the motor holds until then and then lowers the load, because the brake does not hold; 0: no."""
-        self.brake_fails = False
-        """The brake is known not to hold, see `rigctl.control.brake_flag`."""
         self.starts_anew = False
         """A reset of the silence is accepted: the loop ends, and start-up brings all devices up again."""
         self._silent_at_ns = 0
@@ -347,6 +345,10 @@ class Machine:
         if self._disarming is not None:
             self._answers.append(Answer(self._disarming[0], Verb.DISARM, refusal))
             self._disarming = None
+
+    def await_sequence(self) -> None:
+        """The command that waits for the drive waits for the sequence before its power first."""
+        self.awaiting = True
 
     def switch_on(self, t_ns: int) -> None:
         """The sequence before it is complete: the drive may have its power."""

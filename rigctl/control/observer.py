@@ -280,6 +280,14 @@ class Observer:
         unseen = snapshot.drive_may_be_on and not fresh
         snapshot.unseen_mm = snapshot.unseen_mm + speed_mm_s * passed_s if unseen else 0.0
 
+    def take_margins(self, peak: float, error: float) -> None:
+        """Take the sensitivity peak measured in this COMPENSATING and its uncertainty; NaN: there is none."""
+        self.sensitivity_peak, self.sensitivity_peak_error = peak, error
+
+    def change_filter(self, other: TensionFilter) -> None:
+        """Go on with another filter, which has taken over the state of this one."""
+        self.filter = other
+
     def forget_sinking(self) -> None:
         """What the stroke did on the brake before now is acknowledged."""
         self._sinking.forget()
@@ -348,20 +356,22 @@ class Observer:
         if self.slack:
             self.tight_ns = self.snapshot.t_ns
             kalman.reset(self.tension_n, inbox.speed_mm_s)
-            kalman.known_mm_s = self.run_out_mm_s = 0.0
+            self.run_out_mm_s = 0.0
             if self._run_out is not None:
                 self._run_out.lose()
         else:
             if self._run_out is not None:
                 self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
-            kalman.known_mm_s = stretch_mm_s + self.run_out_mm_s
-            timing = self._sync_timing  # where no SYNC latches the samples, none is late
-            kalman.late_s = timing.late_s(self._outbox.synced_ns, self._last_grid_ns) if timing is not None else 0.0
+            timing, known_mm_s = self._sync_timing, stretch_mm_s + self.run_out_mm_s
             kalman.update(
-                inbox.tension_n if inbox.cell_fresh else None, inbox.speed_mm_s if inbox.drive_fresh else None
+                inbox.tension_n if inbox.cell_fresh else None,
+                inbox.speed_mm_s if inbox.drive_fresh else None,
+                known_mm_s,
+                # Where no SYNC latches the samples, none is late.
+                timing.late_s(self._outbox.synced_ns, self._last_grid_ns) if timing is not None else 0.0,
             )
             if kalman.cell.rejects >= UNLOADED_REJECTS and not self.snapshot.drive_enabled:
-                kalman.reset(self.tension_n, inbox.speed_mm_s)
+                kalman.reset(self.tension_n, inbox.speed_mm_s, known_mm_s)
         kalman.predict(1 + skipped)
         slope.pass_ticks(1 + skipped)
         snapshot = self.snapshot
@@ -371,7 +381,7 @@ class Observer:
         tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
         snapshot.disturbance_mm_s = disturbance_mm_s
         if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s + lead_mm_s):
-            kalman.reset(self.tension_n, 0.0)
+            kalman.reset(self.tension_n, 0.0, kalman.known_mm_s)
             raise ArithmeticError("the estimate is not finite")
         if self._run_out is not None:
             disturbance_mm_s += self._run_out.lead_mm_s
@@ -384,7 +394,7 @@ class Observer:
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
             self.slack = self.tension_n < self._slack_n
-            self.filter.reset(self.tension_n, self.inbox.speed_mm_s)
+            self.filter.reset(self.tension_n, self.inbox.speed_mm_s, self.filter.known_mm_s)
 
     def _recent_error_frames(self, now_ns: int) -> int:
         """CAN error frames within the last second."""

@@ -69,6 +69,10 @@ class Opening:
         """Open wholly: the filter starts again, or a sample was a surprise or is missing."""
         self._mean, self.level = 0.0, 1.0
 
+    def close(self) -> None:
+        """Quiet at once, as after a long time at rest."""
+        self.level = 0.0
+
     def look(self, innovation_n: float) -> None:
         """Take the innovation of this tick."""
         mean = self._mean = self._mean + self._share * (innovation_n - self._mean)

@@ -223,7 +223,7 @@ class Orders:
 
     def note_slip(self, moved_mm: float) -> None:
         """The load has moved by so much on the closed brake in the brake test under way, before its 10 s began."""
-        self._sequence.moved_mm = moved_mm
+        self._sequence.note_slip(moved_mm)
 
     def _tripped(self, given: Answer) -> Answer:
         """A trip that no check names has ended the command: its cause is the answer."""
@@ -442,7 +442,7 @@ class Orders:
         if machine.pending is verb and was_pending is not verb and not machine.resetting:
             if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
                 self.shown_checks = situation.failed_checks
-            machine.awaiting = True
+            machine.await_sequence()
             self._taking, self._taken_s = None if verb is Verb.ARM else (id_, since_ns or t_ns), math.nan
             self._sequence.begin(
                 t_ns,
@@ -459,7 +459,7 @@ class Orders:
         if fault is not machine.fault:
             self.acknowledged(fault, t_ns)
         if verb is Verb.TARGET and done:
-            self._law.target_n = values["target_n"]
+            self._law.aim(values["target_n"])
         elif verb is Verb.MOVE and done and self._learning is not None:
             tangential_rad, _, normal_rad, _ = observer.inclination.state
             self._learning.begin(int(values["move"]), observer.snapshot.stroke_mm, tangential_rad, normal_rad)
@@ -601,11 +601,11 @@ class Orders:
             if error != self._unmeasured:
                 self._logbook.event(t_ns, Kind.NO_MARGINS, int(error))
             self._unmeasured = error
-            self._observer.sensitivity_peak = self._observer.sensitivity_peak_error = math.nan
+            self._observer.take_margins(math.nan, math.nan)
             return Refusal.NONE
         if not (1.0 <= ms <= MS_MOST and 0.0 <= error <= MS_MOST):
             return Refusal.OUT_OF_RANGE
-        self._observer.sensitivity_peak, self._observer.sensitivity_peak_error = ms, error
+        self._observer.take_margins(ms, error)
         self._unmeasured = math.nan
         return Refusal.NONE
 

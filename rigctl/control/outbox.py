@@ -89,6 +89,10 @@ class Outbox:
         """Send an SDO request; after `command`, because cyclic frames go first. Whether the queue has taken it."""
         return bool(self._send(od.SDO_RX_BASE + node, request))
 
+    def count_failure(self) -> None:
+        """A frame could not be sent, and the bus has not said why."""
+        self.failures += 1
+
     def _send_enable(self, on: bool, *, heartbeat: bool) -> None:
         if (frame := self.enable.due(on, heartbeat=heartbeat)) is not None:
             self._send(self.enable.can_id, frame)

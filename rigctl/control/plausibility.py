@@ -42,6 +42,10 @@ class DriveModel:
         self._at = 0
         self.speed_mm_s = 0.0
 
+    def follow(self, speed_mm_s: float) -> None:
+        """A drive that moved by itself, or not at all, has this speed."""
+        self.speed_mm_s = speed_mm_s
+
     def advance(self, command_mm_s: float, ticks: int) -> float:
         """``ticks`` under the command sent in the last one; returns the way in mm."""
         sent, travel_mm = self._sent, 0.0
@@ -118,7 +122,7 @@ class Plausibility:
             self.speed_error_mm_s = abs(inbox.speed_mm_s - self._drive.speed_mm_s)
             self.stroke_error_mm = self._stroke_keep * self.stroke_error_mm + moved_mm - modelled_mm
         else:
-            self._drive.speed_mm_s = inbox.speed_mm_s
+            self._drive.follow(inbox.speed_mm_s)
             self.speed_error_mm_s = self.stroke_error_mm = 0.0
         # A jump while the drive is off is the stroke's own fault; its trace must not trip the arming that follows.
         jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM

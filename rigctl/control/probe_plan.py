@@ -243,7 +243,8 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
     model, law = filter_model(settings), TensionLaw(settings, gains)
     kalman, start_n = TensionFilter(model), settings.tension.target_n
     stroke_mm = 0.5 * (settings.cylinder.stroke_min_mm + settings.cylinder.stroke_max_mm)
-    law.target_n = law.setpoint_n = start_n
+    law.aim(start_n)
+    law.start_ramp(start_n, 0.0)
     kalman.reset(start_n, 0.0)
     kalman.settle()
     (_, to_tension, _), (_, keep, _), _ = model.f.tolist()
@@ -255,9 +256,9 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
     for tick in range(round(IMPULSE_S * settings.loop.rate_hz)):
         kalman.update(start_n + reading_n, read_mm_s)
         kalman.predict()
-        law.added_mm_s = 0.0 if tick else probe_mm_s
-        command_mm_s = law.compensating(Estimate(*kalman.ahead(), stroke_mm), 1.0)
-        kalman.command(command_mm_s - law.added_mm_s)
+        added_mm_s = 0.0 if tick else probe_mm_s
+        command_mm_s = law.compensating(Estimate(*kalman.ahead(), stroke_mm), 1.0, added_mm_s)
+        kalman.command(command_mm_s - added_mm_s)
         found.append((reading_n, read_mm_s, command_mm_s, tension_n))
         sent.append(command_mm_s)
         acting = sent.pop(0)

@@ -69,6 +69,14 @@ class SecondForce:
             self.gap_n = self.offset_n = 0.0
             self._compared_ns = 0
 
+    def report(self, *, in_error: bool) -> None:
+        """Its device reports an error, or the end of it."""
+        self.in_error = in_error
+
+    def restart(self) -> None:
+        """Its device has restarted, with unverified settings."""
+        self.restarted = True
+
     def take(self, value: float, quality: int, t_ns: int) -> None:
         """Take a sample of its device: N of a cell, mm of an encoder."""
         self.quality = _INVALID if self.in_error or self.restarted else quality

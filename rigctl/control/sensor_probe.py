@@ -89,7 +89,8 @@ class SensorProbe:
         self._deaf = 0
         self._answers.clear()
         self._sizes.clear()
-        self._drive.speed_mm_s = self._model_mm = 0.0
+        self._drive.follow(0.0)
+        self._model_mm = 0.0
         self._low_mm, self._high_mm = [math.inf, math.inf], [-math.inf, -math.inf]
 
     def skip(self) -> None:

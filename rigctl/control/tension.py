@@ -89,8 +89,6 @@ class TensionLaw:
         self.integral_mm_s = 0.0
         self._error_n = self._speed_error_mm_s = 0.0  # of the last closed tick
         self.command_mm_s = 0.0
-        self.added_mm_s = 0.0  # to the closed law's command, by a trial or probe
-        self.learned_mm_s = 0.0  # to the closed law's command, by `rigctl.control.move_learning`
         self.limits = 0  # bits, see rigctl.ipc.record.Flag
         self._slack_stroke_mm: float | None = None
         self._tight = False
@@ -144,10 +142,20 @@ class TensionLaw:
         self._slack_stroke_mm = None  # of a release that is over
         return self.limited(correction_mm_s, estimate.stroke_mm)
 
-    def tensioning(self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0) -> float:
+    def aim(self, target_n: float) -> None:
+        """Take another target, reached on the ramp."""
+        self.target_n = target_n
+
+    def tensioning(
+        self, estimate: Estimate, cosine: float, probe_mm_s: float = 0.0, added_mm_s: float = 0.0
+    ) -> float:  # fmt: skip
         """Take up slack at a fixed speed, then follow a ramp to the target.
 
-        ``probe_mm_s``: if not 0, move a tight rope at this speed instead; the ramp begins again where the move ends.
+        Args:
+            estimate: of this tick.
+            cosine: of the rope against the vertical.
+            probe_mm_s: if not 0, move a tight rope at this speed instead; the ramp begins again where the move ends.
+            added_mm_s: to the closed law's command, by a trial, the probe, or `rigctl.control.move_learning`.
         """
         self._tight |= estimate.tension_n > 2.0 * self._slack_n
         self.rope_lost = self._tight and estimate.tension_n < self._slack_n
@@ -159,16 +167,16 @@ class TensionLaw:
         if probe_mm_s:
             self.start_ramp(estimate.tension_n * cosine, estimate.speed_mm_s)
             return self.limited(probe_mm_s, estimate.stroke_mm)
-        return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
+        return self._closed(estimate, cosine, self._ramp_towards(self.target_n), added_mm_s)
 
-    def compensating(self, estimate: Estimate, cosine: float) -> float:
-        """Hold the target; a new target is reached on the same ramp."""
-        return self._closed(estimate, cosine, self._ramp_towards(self.target_n))
+    def compensating(self, estimate: Estimate, cosine: float, added_mm_s: float = 0.0) -> float:
+        """Hold the target; a new target is reached on the same ramp. ``added_mm_s``: see `tensioning`."""
+        return self._closed(estimate, cosine, self._ramp_towards(self.target_n), added_mm_s)
 
-    def releasing(self, estimate: Estimate, cosine: float) -> float:
-        """Follow a ramp down to slack, then pay out a little more rope."""
+    def releasing(self, estimate: Estimate, cosine: float, added_mm_s: float = 0.0) -> float:
+        """Follow a ramp down to slack, then pay out a little more rope. ``added_mm_s``: see `tensioning`."""
         if estimate.tension_n > self._slack_n and self._slack_stroke_mm is None:
-            return self._closed(estimate, cosine, self._ramp_towards(0.0))
+            return self._closed(estimate, cosine, self._ramp_towards(0.0), added_mm_s)
         if self._slack_stroke_mm is None:
             self._slack_stroke_mm = estimate.stroke_mm
         return self.limited(-self._pays_mm_s, estimate.stroke_mm)
@@ -208,7 +216,7 @@ class TensionLaw:
             self.setpoint_n += self._slope_n_s * self._dt
         return self._slope_n_s
 
-    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float) -> float:
+    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float, added_mm_s: float) -> float:
         gains = self._gains
         self.rope_setpoint_n = self.setpoint_n / cosine
         error = estimate.tension_n - self.rope_setpoint_n
@@ -216,7 +224,7 @@ class TensionLaw:
         speed_error = estimate.speed_mm_s - feed_forward
         self._error_n, self._speed_error_mm_s = error, speed_error
         wanted = feed_forward - gains.k_tension * error - gains.k_speed * speed_error - self.integral_mm_s
-        wanted += self.added_mm_s + self.learned_mm_s - estimate.lead_mm_s
+        wanted += added_mm_s - estimate.lead_mm_s
         command = self.limited(wanted, estimate.stroke_mm)
         # Anti-windup: integrate only what the limits let through, or what leads back inside them.
         if command == wanted or (wanted - command) * error > 0.0:

@@ -52,7 +52,7 @@ def recorded(
 
         def tick() -> None:
             ticked()
-            if rig.loop._logbook.tick % 500 == 0:
+            if rig.loop._tick % 500 == 0:
                 writer.poll(rig.clock.now(), time.time_ns(), final=True)
 
         rig.loop.tick = tick  # type: ignore[method-assign]

@@ -24,11 +24,10 @@ class Dithered(TensionLaw):
         self._amplitude_mm_s = amplitude_mm * omega * math.hypot(1.0, omega * settings.plant.cylinder_lag_s)
         self._phase = 0.0
 
-    def compensating(self, estimate: Estimate, cosine: float) -> float:
+    def compensating(self, estimate: Estimate, cosine: float, added_mm_s: float = 0.0) -> float:
         """The law's command with the sine added."""
         self._phase = (self._phase + self._turn) % math.tau
-        self.learned_mm_s = self._amplitude_mm_s * math.cos(self._phase)
-        return super().compensating(estimate, cosine)
+        return super().compensating(estimate, cosine, added_mm_s + self._amplitude_mm_s * math.cos(self._phase))
 
 
 class Predicting(TensionLaw):
@@ -47,7 +46,7 @@ class Predicting(TensionLaw):
         self._bends = by == "acceleration"
         self._slow = [0.0, 0.0]
 
-    def compensating(self, estimate: Estimate, cosine: float) -> float:
+    def compensating(self, estimate: Estimate, cosine: float, added_mm_s: float = 0.0) -> float:
         """The law's command with the disturbance ahead of the filter's."""
         inbox, slope = self._inbox, self._slope
         if inbox.slope_fresh:
@@ -62,4 +61,4 @@ class Predicting(TensionLaw):
             self._slow[axis] += acceleration * self._dt
             change += rate * rate + (angle * acceleration if self._bends else 0.0)
         ahead = estimate.disturbance_mm_s + self._length_s_mm * change
-        return super().compensating(estimate._replace(disturbance_mm_s=ahead), cosine)
+        return super().compensating(estimate._replace(disturbance_mm_s=ahead), cosine, added_mm_s)

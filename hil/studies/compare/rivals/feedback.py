@@ -90,7 +90,7 @@ class Rival(TensionLaw):
         super().start_ramp(vertical_n, speed_mm_s)
         self._fresh = True
 
-    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float) -> float:
+    def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float, added_mm_s: float) -> float:  # noqa: ARG002
         inbox = self._inbox
         self.rope_setpoint_n = self.setpoint_n / cosine
         sample = Sample(

@@ -1,0 +1,48 @@
+"""What a tick's parts need of each other is passed: none assigns the attribute of another's object."""
+
+from __future__ import annotations
+
+import ast
+import collections
+import pathlib
+
+from tests.builders.paths import ROOT
+
+OWN = {
+    "cell_correction": {"one", "term", "two"},
+    "escalation": {"since"},
+    "estimator": {"kf", "self._kf"},
+    "inclination": {"kf"},
+    "logbook": {"values"},
+    "move_learning": {"self._lesson", "table"},
+    "observer": {"snapshot"},
+    "power_seen": {"seen"},
+}
+"""By module: names of the values that it makes for itself, or for others to read. The list only shrinks."""
+OUTSIDE = {"checks": {"member"}, "control_process": {"loop"}, "faults": {"member"}}
+"""In no tick: members of an enumeration as they are made, and a signal's handler."""
+
+
+def assigned(function: ast.FunctionDef) -> set[str]:
+    """Owners, other than self, of the attributes that a function assigns."""
+    found = set()
+    for node in ast.walk(function):
+        targets = node.targets if isinstance(node, ast.Assign) else [getattr(node, "target", None)]
+        for target in targets:
+            for one in target.elts if isinstance(target, ast.Tuple) else [target]:
+                if isinstance(node, ast.Assign | ast.AugAssign | ast.AnnAssign) and isinstance(one, ast.Attribute):
+                    found.add(ast.unparse(one.value))
+    return found - {"self"}
+
+
+def owners(file: pathlib.Path) -> set[str]:
+    functions = [node for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.FunctionDef)]
+    return {owner for function in functions if function.name != "__init__" for owner in assigned(function)}
+
+
+def test_no_part_of_the_tick_assigns_what_another_part_owns() -> None:
+    found = collections.defaultdict(set)
+    for file in (ROOT / "rigctl/control").glob("*.py"):
+        if names := owners(file):
+            found[file.stem] = names
+    assert dict(found) == {**OWN, **OUTSIDE}
