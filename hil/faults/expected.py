@@ -74,7 +74,7 @@ ACCURACY_N = 9.0
 class Around:
     """State of the rig, and its motion, when the fault comes; the run without the fault has it too."""
 
-    change: tuple[tuple[str, float | str | Settings | tuple[()]], ...] = ()
+    change: tuple[tuple[str, float | str | Settings | tuple[()] | None], ...] = ()
     """Settings, or a whole section, by dotted key."""
     motion: Callable[[], Mapping[int, Track]] | None = None
     """Motion of the plant from the moment of the fault on."""

@@ -411,7 +411,8 @@ class Fault(IntEnum):
     # The stroke has moved by more than the tension shows and the declared motion of the payload explains
     LOAD_UNSEEN = (
         59,
-        "the stroke has gone where the tension does not show it: {text}; a frozen or drifting cell, or a payload",
+        "the stroke has gone where the tension does not show it: {text}; a frozen, drifting or wrongly scaled cell, or "
+        "a payload",
         "Check the cell with a known weight; a payload that moves so far is declared by safety.heave_mm.",
         Trait.CELL_DOUBTED,
     )

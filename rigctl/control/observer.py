@@ -211,11 +211,11 @@ class Observer:
         snapshot.unseen_excess_n = travel.excess_n
         tensioning = machine.mode is Mode.TENSIONING
         self._take_up.look(
-            snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, law.target_n,
+            snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, snapshot.tension_n, law.target_n,
             slack=self.slack, tensioning=tensioning,
         )  # fmt: skip
         snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
-        snapshot.taken_up_excess_n = self._take_up.excess_n
+        snapshot.taken_up_shown_n, snapshot.taken_up_excess_n = self._take_up.shown_n, self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
         snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
@@ -391,6 +391,7 @@ class Observer:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.correct(correction, held_s=held_s, history=history)
         self._held_tension.follow()
+        self._take_up.forget()
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n
             self.slack = self.tension_n < self._slack_n

@@ -135,7 +135,8 @@ class Snapshot:
     unseen_n: float = 0.0  # these three: see rigctl.control.unseen_travel
     unseen_bound_n: float = 0.0
     unseen_excess_n: float = 0.0
-    taken_up_n: float = 0.0  # these three: see rigctl.control.take_up
+    taken_up_n: float = 0.0  # these four: see rigctl.control.take_up
+    taken_up_shown_n: float = 0.0
     taken_up_limit_n: float = 0.0
     taken_up_excess_n: float = 0.0
     least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one

@@ -88,7 +88,7 @@ SHOWN: list[tuple[Fault, dict[str, Any], tuple[Part, ...], str]] = [
     (Fault.STRETCH_UNEXPLAINED, {"stretch_mm_s": -2.0}, (Part.ROPE, Part.CELL), "falls"),
     (Fault.STROKE_END, {"mode": Mode.TENSIONING}, (Part.ROPE,), "too long"),
     (Fault.STROKE_END, {}, (Part.PAYLOAD,), "further than"),
-    (Fault.LOAD_UNSEEN, {"text": "22.5 N by the motor's current on a slack rope"}, (Part.CELL,), "does not show"),
+    (Fault.LOAD_UNSEEN, {"text": "22.5 N by the motor's current, 0.0 N by the cell"}, (Part.CELL,), "does not show"),
     (Fault.LOAD_UNSEEN, {"gone_mm": 4.5, "unexplained_mm": -4.5}, (Part.ROPE, Part.CELL), "shortened"),
     (Fault.LOAD_UNSEEN, {"gone_mm": -4.5, "unexplained_mm": 4.5}, (Part.PAYLOAD, Part.CELL), "paid out"),
     (Fault.LIMIT, {"stretch_mm_s": 30.0, "after_n": 480.0, "current_n": 450.0}, (Part.PAYLOAD,), "caught"),
