@@ -98,6 +98,7 @@ _PLAIN = (
     EventSample(Kind.FOUND_AT_START, _NODE, _INDEX << 8, 5.0, 0.0),
     EventSample(Kind.FOUND_AT_START, _NODE, _INDEX << 8, 5.0, 7.0),
     EventSample(Kind.SIGNS, value=6.04, limit=6.0),
+    EventSample(Kind.SIGNS, 1, value=3.6, limit=6.0),
 )
 
 

@@ -77,7 +77,10 @@ class Kind(IntEnum):
     HOLD_SOCKET_CLOSED = 66  # a: user, b: process: it sent a descriptor along with a HOLD
     FOUND_AT_START = 121  # a: node, b: index << 8, value: what a former controller left there, limit: as it is now
     START_ANEW = 120  # a: fault acknowledged; the loop ends, the next one starts all devices up
-    SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
+    SIGNS = (
+        13  # a: 1 it is off and nothing else checks the cell's scale, value: stiffness found in the first tensioning
+    )
+    # in N/mm, limit: the plant's
 
 
 class Unmeasured(IntEnum):
@@ -537,8 +540,10 @@ _WORDS: dict[Kind, Callable[[int, int, float, float, str], Worded]] = {
     Kind.RECEIVE_FAILED: lambda _a, _b, _v, _l, t: Worded("warning", f"bus not readable: {t}"),
     Kind.STARTED: lambda _a, _b, _v, _l, _t: Worded("info", "loop started, DISARMED"),
     Kind.STOPPED: lambda _a, _b, v, m, _t: Worded("info", f"loop stopped, stroke {v:.2f} mm, tension {m:z.1f} N"),
-    Kind.SIGNS: lambda _a, _b, v, m, _t: Worded(
-        "info", f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f} N/mm)"
+    Kind.SIGNS: lambda a, _b, v, m, _t: Worded(
+        "warning" if a else "info",
+        f"signs checked: the stroke follows, tension rises by {v:.2f} N/mm (plant: {m:.2f} N/mm)"
+        + ("; nothing else checks the cell's scale: compare it with a known weight (rigctl calibrate)" if a else ""),
     ),
     Kind.BRAKE_TEST: lambda a, _b, v, m, _t: Worded(
         "info",

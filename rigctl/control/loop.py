@@ -599,7 +599,7 @@ class Loop:
             self._held_tension.found_stiffness(signs.slope_n_mm)
             self._probe.found_stiffness(signs.slope_n_mm)
             stiffness = self.settings.plant.stiffness_n_mm
-            self._logbook.event(now_ns, Kind.SIGNS, value=signs.slope_n_mm, limit=stiffness)
+            self._logbook.event(now_ns, Kind.SIGNS, int(signs.warns), value=signs.slope_n_mm, limit=stiffness)
 
     def _finish_stop(self, t_ns: int) -> None:
         """Once the stroke stands still, let the drive close its brake; end the loop once it is seen off and braked."""

@@ -7,6 +7,9 @@ within a millimetre, or within the tension that counts as slack. A tensioning to
 to the next one. A stiffness beyond the family, but by less than a factor of three, is looked at again over four times
 the span, in which a mechanism that swings or a payload that moves shows less.
 
+A wrong scale of the cell makes a wrong stiffness, and a soft mechanism makes the same. Where nothing else checks the
+scale, a stiffness beyond `WARNED_SHARE` of the plant's is a warning.
+
 On a rig that starts tight and on target the ramp makes no motion to judge. Then the tension is first lowered by
 `SLOPE_N` in open loop at low speed (raised where there is no room below); the ramp then leads back.
 """
@@ -23,6 +26,7 @@ TRAVEL_MM = 0.1  # expected travel before the drive is judged: more than its del
 PATIENCE_MM = 1.0  # expected travel at which the drive must have moved
 FOLLOWS, OPPOSES = 0.5, -0.25  # shares of the expected travel
 SLOPE_N, SLOPE_MM = 15.0, 0.2  # span of the slope's verdict: far above noise and the screw's play
+WARNED_SHARE = 0.2  # of the plant's stiffness: as much as the assumed family has
 AGAIN = 4.0  # spans of the second look
 FALL_NOISES = 20.0
 PROBE_S, PROBE_MM_S = 0.5, 0.2  # time and least speed of the probing move; a dead band may hold a slower drive
@@ -30,6 +34,8 @@ PROBE_S, PROBE_MM_S = 0.5, 0.2  # time and least speed of the probing move; a de
 
 class SignCheck:
     """Runs every tick of TENSIONING until ``passed``; ``slope_n_mm`` is the stiffness found.
+
+    ``warns``: that stiffness is off, and nothing else checks the cell's scale.
 
     ``probe_mm_s``: speed of the probing move in open loop; 0 for none. ``words``: of a stiffness beyond the family.
     """
@@ -44,10 +50,18 @@ class SignCheck:
         self._stroke_min_mm = settings.cylinder.stroke_min_mm
         self._tight_n = 2.0 * tension.slack_n
         self._fall_n = max(tension.slack_n, FALL_NOISES * settings.tension_cell.noise_n)
+        self._warned_n_mm = (1.0 - WARNED_SHARE) * self._slow_n_mm, (1.0 + WARNED_SHARE) * self._stiffness
+        self._unchecked = unchecked(settings)
         self.passed = False
         self.fault = Fault.NONE  # of the newest tick of the check
         self.slope_n_mm = math.nan
         self.begin(0.0, 0.0)
+
+    @property
+    def warns(self) -> bool:
+        """See the class; False until there is a stiffness."""
+        least, most = self._warned_n_mm
+        return self._unchecked and (self.slope_n_mm < least or self.slope_n_mm > most)
 
     def begin(self, stroke_mm: float, tension_n: float, speed_mm_s: float = 0.0) -> None:
         """A tensioning starts at this stroke and tension; ``speed_mm_s``: of a motion before it that is ending."""
@@ -119,3 +133,9 @@ class SignCheck:
             return False
         self.words = f"{self.slope_n_mm:z.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
         return True
+
+
+def unchecked(settings: RigSettings) -> bool:
+    """Nothing shows a wrong scale of the cell: no calibration is demanded, and the motor's current has no factor."""
+    calibration = settings.calibration
+    return settings.cylinder.force_per_ampere_n is None and (calibration is None or calibration.waiver is not None)

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.signs import WARNED_SHARE, unchecked
 
 SHARE = 0.05  # of the target: 10 % less two status periods of the ramp, the stop, and the resolution of the current
 FACTOR_SHARE = 0.1  # of the force by current: a warm motor's magnets, and a screw whose efficiency is not that measured
@@ -93,8 +94,13 @@ def in_words(settings: RigSettings) -> str:
     if settings.cylinder.force_per_ampere_n is None or rate_hz is None:
         return (
             "taking up slack: the cell alone shows that the rope gets tight; one that froze there is found at the "
-            "stroke's end, and one of wrong scale is not found (cylinder.force_per_ampere_n has the motor's current "
-            "show both)"
+            "stroke's end, and a wrong scale "
+            + (
+                f"only as a stiffness that is {WARNED_SHARE:.0%} off, a warning"
+                if unchecked(settings)
+                else "by no trip"
+            )
+            + " (cylinder.force_per_ampere_n has the motor's current show both)"
         )
     tension = settings.tension
     bound_n = limit_n(tension.slack_n, tension.target_n) + PERIODS * tension.ramp_n_s / rate_hz

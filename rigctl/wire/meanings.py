@@ -96,7 +96,8 @@ KINDS: dict[Kind, str] = {
     "a: from, b: to, see load_at_rest, text: the mode",
     Kind.FOUND_AT_START: "what a former controller had left in the drive; a: node, b: index << 8, value: it, limit: as "
     "start-up has left it; of 0x6041 the drive's state",
-    Kind.SIGNS: "first tensioning: signs checked; value: stiffness found in N/mm, limit: the plant's",
+    Kind.SIGNS: "first tensioning: signs checked; a: 1 where the stiffness is off and nothing else checks the cell's "
+    "scale, value: stiffness found in N/mm, limit: the plant's",
 }
 NOTES: dict[Note, str] = {
     Note.LEASE_TAKEN: "operator takes the lease",

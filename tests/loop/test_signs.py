@@ -60,6 +60,34 @@ def test_a_rig_the_right_way_round_passes_once_and_is_told(rig: Lockstep) -> Non
     assert Kind.SIGNS not in rig.events.read()["kind"]
 
 
+@pytest.mark.parametrize(
+    ("scale", "section", "change", "warns"),
+    [
+        (0.75, "calibration.waiver", "a simulated rig", True),
+        (0.75, "calibration", None, True),
+        (0.75, "calibration.waiver", None, False),
+        (1.0, "calibration.waiver", "a simulated rig", False),
+        (1.2, "calibration.waiver", "a simulated rig", False),
+        (1.25, "calibration.waiver", "a simulated rig", True),
+    ],
+)
+def test_a_stiffness_that_is_off_is_a_warning_where_nothing_else_checks_the_cells_scale(
+    settings: RigSettings, gains: Gains, scale: float, section: str, change: str | None, warns: bool
+) -> None:
+    """A cell that reads 0.75 of the tension has 400 N for 300, the limit of the shipped rigs."""
+    alone = changed(settings, {"cylinder.force_per_ampere_n": None, section: change})
+    with lockstep(alone, gains) as rig:
+        rig.run(0.2)
+        cell_reads(rig, lambda n: n * scale)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(3.0)
+        events = rig.events.read()
+    (found,) = events[events["kind"] == Kind.SIGNS]
+    told = worded(*(found[name].item() for name in ("kind", "a", "b", "value", "limit")), found["text"].decode())
+    assert (told.severity == "warning", "known weight" in told.text) == (warns, warns)
+
+
 @pytest.mark.starts_in(Mode.HOLD)
 def test_a_swapped_drive_is_caught_within_half_a_millimetre(rig: Lockstep) -> None:
     swap_drive(rig)
@@ -197,15 +225,20 @@ def test_on_target_too_each_wrong_way_round_is_caught_before_the_loop_is_closed_
 
 
 @pytest.mark.gate("0.344", "1.5")
-@pytest.mark.starts_in(Mode.HOLD)
 @pytest.mark.parametrize("share", [0.25, 0.344, 1.5])  # 0.344: lengths 2.9 times too long
-def test_a_stiffness_that_the_assumed_family_has_not_ends_the_tensioning(rig: Lockstep, share: float) -> None:
-    cell_reads(rig, lambda n: share * n)
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run(4.0)
-    assert rig.loop.machine.fault is Fault.SIGN_CELL
-    assert rig.rig.truth.tension_n < 200.0  # shown within 60 N
-    (trip,) = [event for event in rig.events.read() if event["kind"] == Kind.TRIP]
+def test_a_stiffness_that_the_assumed_family_has_not_ends_the_tensioning(
+    settings: RigSettings, gains: Gains, share: float
+) -> None:
+    """Without the motor's current, which shows the two small shares before."""
+    with lockstep(changed(settings, {"cylinder.force_per_ampere_n": None}), gains) as rig:
+        rig.run(0.2)
+        cell_reads(rig, lambda n: share * n)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        assert rig.command(Verb.TENSION) is Refusal.NONE
+        rig.run(4.0)
+        assert rig.loop.machine.fault is Fault.SIGN_CELL
+        assert rig.rig.truth.tension_n < 200.0  # shown within 60 N
+        (trip,) = [event for event in rig.events.read() if event["kind"] == Kind.TRIP]
     text = trip["text"].decode()
     words = worded(trip["kind"], trip["a"], trip["b"], trip["value"], trip["limit"], text).text
     assert re.search(r"\d N/mm found, 2.26 to 8.23 N/mm expected\)", words), words
