@@ -61,9 +61,10 @@ class Estimated:
 
 @dataclass(frozen=True)
 class TrialSignals:
-    """Columns of the records, one value per tick: s, mm/s, mm, mm/s, N. ``speed`` and ``tension`` as measured.
+    """Columns of the records, one value per tick: s, mm/s, mm, mm/s, N, A. ``speed`` and ``tension`` as measured.
 
-    ``at_s``: when the tick's SYNC was sent. ``late``: the loop skipped ticks just before the tick.
+    ``current``: newest of the motor, NaN where it is not known. ``at_s``: when the tick's SYNC was sent. ``late``: the
+    loop skipped ticks just before the tick.
     """
 
     at_s: Array
@@ -71,6 +72,7 @@ class TrialSignals:
     stroke: Array
     speed: Array
     tension: Array
+    current: Array
     late: npt.NDArray[np.bool_]
 
     @property

@@ -11,12 +11,14 @@ import numpy.typing as npt
 
 from rigctl.commission import identification
 from rigctl.commission.identification import Drive, Estimated, IdentificationError, Pairs, TrialSignals
+from rigctl.commission.motor_force import MotorForce, motor_force
 from rigctl.config.settings import RigSettings
 from rigctl.control.trials import QUIET_S
 
 LAST_QUIET_S = 0.01  # end of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # largest uncertainty over value of a figure that is proposed
 DELAY_ERROR_S = 2e-3
+FORCE_SHARE = 0.1  # as much as the comparison in TENSIONING allows
 
 
 def signals_of(records: npt.NDArray[Any], period_s: float) -> TrialSignals:
@@ -34,10 +36,11 @@ def signals_of(records: npt.NDArray[Any], period_s: float) -> TrialSignals:
     work_s = np.minimum(np.append(records["work_ns"][1:], records["work_ns"][-1:]) * 1e-9, period_s)
     at_s = grid_s + records["lateness_ns"] * 1e-9 + work_s
     late = np.append(False, np.diff(grid_s) > 1.5 * period_s)
-    command, stroke, speed, tension = (
-        records[name].astype(float) for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n")
+    command, stroke, speed, tension, current = (
+        records[name].astype(float)
+        for name in ("command_mm_s", "stroke_mm", "speed_mm_s", "tension_n", "drive_current_a")
     )
-    return TrialSignals(np.maximum.accumulate(at_s), command, stroke, speed, tension, late)
+    return TrialSignals(np.maximum.accumulate(at_s), command, stroke, speed, tension, current, late)
 
 
 @dataclass(frozen=True)
@@ -84,6 +87,7 @@ def rows(signals: TrialSignals, settings: RigSettings) -> list[dict[str, Any]]:
         ProposedValue("drive speed / command", "", None, drive.gain).checked(share=STIFFNESS_SHARE),
         ProposedValue("age of the drive's speed", "s", None, drive.speed_age_s).checked(error=DELAY_ERROR_S),
         *_of_rope(signals, settings, pairs, drive, cell),
+        *_of_motor(signals, settings, pairs, drive),
         ProposedValue("tension_cell.noise_n", "N", settings.tension_cell.noise_n, cell),
         ProposedValue("drive speed noise", "mm/s", None, speed),
     ]
@@ -113,6 +117,21 @@ def _of_rope(
         why = "" if spring is not None else stiffness.why or "stiffer than the rope of the rig file alone"
         part = ProposedValue("plant.spring_n_mm", "N/mm", plant.spring_n_mm, spring, why)
     return [stiffness, part, backlash]
+
+
+def _of_motor(signals: TrialSignals, settings: RigSettings, pairs: Pairs, drive: Drive) -> list[ProposedValue]:
+    """Rope force per ampere, and the friction beside it."""
+    cylinder = settings.cylinder
+    force = ProposedValue("cylinder.force_per_ampere_n", "N/A", cylinder.force_per_ampere_n)
+    friction = ProposedValue("friction of the cylinder", "N")
+    if np.median(signals.tension) < settings.tension.slack_n:
+        found = MotorForce(why="the rope is slack")
+    else:
+        status_s = settings.status_divisor * settings.loop.period_ns * 1e-9
+        found = motor_force(signals, pairs, drive, status_s, cylinder.rated_current_a)
+    force = replace(force, found=found.n_per_a, why=found.why).checked(share=FORCE_SHARE)
+    known = found.friction_n if force.found is not None else None
+    return [force, replace(friction, found=known, why=force.why)]
 
 
 def _spring(stiffness: Estimated, rope_n_mm: float) -> Estimated | None:
@@ -146,6 +165,11 @@ def in_words(found: list[dict[str, Any]], pairs: Pairs) -> str:
         say("stiffness", "stiffness", "N/mm"),
         say("tension_cell.noise_n", "noise", "N"),
         say("backlash", "backlash", "mm"),
+        *(
+            (say("cylinder.force_per_ampere_n", "motor", "N/A"), say("friction of the cylinder", "friction", "N"))
+            if shown["cylinder.force_per_ampere_n"]["found"] is not None
+            else ()
+        ),
         left_out_in_words("repetitions, in which the loop skipped ticks,", pairs.late, len(pairs.kept)),
     )
     return ", ".join(part for part in parts if part)

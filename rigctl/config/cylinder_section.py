@@ -38,7 +38,7 @@ class CylinderSettings(CanopenDevice):
     )
     force_per_ampere_n: float | None = Field(
         default=None, gt=0, le=1e6,
-        description="rope force per ampere of motor current on the way up, which then shows a slack rope that gets "
+        description="rope force per ampere of motor current (rigctl identify), which then shows a slack rope that gets "
         "tight and a cell of wrong scale; null = the cell alone does",
     )  # fmt: skip
     rated_force_n: float | None = Field(

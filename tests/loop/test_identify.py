@@ -80,6 +80,10 @@ def test_under_tension_it_finds_the_plant_as_it_is(held: Lockstep) -> None:
     assert truth["tension_cell.noise_n"] == pytest.approx(held.settings.tension_cell.noise_n, rel=0.2)
     assert truth["backlash"] == pytest.approx(0.0, abs=0.005)  # the load seats the nut
     assert truth["drive speed / command"] == pytest.approx(1.0, abs=0.002)
+    drive = held.settings.simulation.drive  # type: ignore[union-attr]
+    # The current's unit is 1.5 N, and 5 N of tension pass in a step of 0.25 s.
+    assert truth["cylinder.force_per_ampere_n"] == pytest.approx(drive.force_n_a, rel=0.005)
+    assert truth["friction of the cylinder"] == pytest.approx(drive.friction_n, abs=2.0)
     assert held.loop.machine.mode is Mode.HOLD
     assert held.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.01)
     assert np.ptp(records["stroke_mm"]) < 1.0
@@ -101,6 +105,49 @@ def test_a_drive_that_is_not_the_files_is_seen(
     assert truth["plant.cylinder_lag_s"] == pytest.approx(lag_s, abs=0.5e-3)
     assert truth["plant.command_delay_s"] == pytest.approx(delay_s, abs=0.2e-3)
     assert truth["stiffness"] is None  # a slack rope does not show the stiffness
+
+
+@pytest.mark.parametrize(("force_n_a", "friction_n", "status_hz"), [(400.0, 0.0, 20), (650.0, 120.0, 50)])
+def test_a_motor_that_is_not_the_files_is_seen(
+    settings: RigSettings, gains: Gains, force_n_a: float, friction_n: float, status_hz: int
+) -> None:
+    cylinder = settings.cylinder.model_copy(update={"force_per_ampere_n": None, "status_rate_hz": status_hz})
+    other = with_drive(settings, force_n_a=force_n_a, friction_n=friction_n).model_copy(update={"cylinder": cylinder})
+    with lockstep(other, gains) as rig:
+        rig.rig.plant.preload(250.0)
+        rig.run(0.5)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run(0.5)
+        rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(excite(rig), 1e-3), other)}
+    force, friction = rows["cylinder.force_per_ampere_n"], rows["friction of the cylinder"]
+    assert abs(force["found"] - force_n_a) < force["error"] < 0.01 * force_n_a
+    assert abs(friction["found"] - friction_n) < friction["error"] < 5.0
+    assert force["before"] is None
+
+
+@pytest.mark.parametrize(
+    ("status_rate_hz", "tension_n", "why"),
+    [
+        (None, 250.0, "the drive is not asked for its current"),
+        (5, 250.0, "the current is not known at the end of steps"),
+        (20, 0.0, "the rope is slack"),
+    ],
+)
+def test_without_a_current_that_carries_a_load_no_factor_is_proposed(
+    settings: RigSettings, gains: Gains, status_rate_hz: int | None, tension_n: float, why: str
+) -> None:
+    with lockstep(settings, gains) as rig:
+        if tension_n:
+            rig.rig.plant.preload(tension_n)
+        rig.run(0.5)
+        assert rig.command(Verb.ARM) is Refusal.NONE
+        rig.run(0.5)
+        signals = proposal.signals_of(excite(rig), 1e-3)
+    cylinder = settings.cylinder.model_copy(update={"status_rate_hz": status_rate_hz})
+    rows = {row["key"]: row for row in proposal.rows(signals, settings.model_copy(update={"cylinder": cylinder}))}
+    for key in ("cylinder.force_per_ampere_n", "friction of the cylinder"):
+        assert rows[key]["found"] is None
+        assert rows[key]["why"].startswith(why)
 
 
 def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gains: Gains) -> None:

@@ -59,6 +59,7 @@ def simulated(
         np.round(latched[1], 3),
         latched[0] + rng.normal(0.0, noise_mm_s, len(command)),
         tension,
+        np.full(len(command), math.nan),
         np.zeros(len(command), bool),
     )
 
@@ -207,7 +208,7 @@ def test_records_give_the_time_of_each_sync_and_where_ticks_were_skipped() -> No
 def test_too_little_is_said(command: motion.Array) -> None:
     some = np.zeros(len(command))
     with pytest.raises(IdentificationError):
-        ident.pairs_of(TrialSignals(np.linspace(0.0, 1.0, len(command)), command, some, some, some, some > 0.0))
+        ident.pairs_of(TrialSignals(np.linspace(0.0, 1.0, len(command)), command, some, some, some, some, some > 0.0))
     with pytest.raises(IdentificationError):
         ident.noise(command[:20], 1e-3)
 
