@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from hil.bus import InProcessBus
 from hil.hub import Hub
+from hil.loop_view import LoopView
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import KeptBrake
@@ -107,7 +108,7 @@ class Lockstep:
         self._stranger = self.hub.attach(lambda _frame: None)
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
-        self._bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)
+        self.bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)
         try:
             self.report = self._bring_up()
         except startup.StartupError:
@@ -145,10 +146,23 @@ class Lockstep:
 
         self._make_loop = make_loop
         self.loop = self._make_loop(last_stroke, kept_brake)
+        self.view = LoopView(self.loop)
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
         """Called after every period of the rig, whether the loop ticks then or misses it."""
         self.reply: Any = None  # to the last command
+
+    @property
+    def record(self) -> Any:
+        """The newest record, by the names of `rigctl.config.signals`.
+
+        Raises:
+            ValueError: the loop has not ticked.
+        """
+        record = self._records.latest()
+        if record is None:
+            raise ValueError("no record: the loop has not ticked")
+        return record
 
     def tick(self) -> None:
         """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
@@ -157,7 +171,7 @@ class Lockstep:
         if self._waiting >= self._read_from:
             self._waiting = 0
             self._unread.append(self._records.read())
-        if self.loop.machine.starts_anew:
+        if self.view.starts_anew:
             self.start_anew()
 
     def start_anew(self) -> None:
@@ -167,9 +181,10 @@ class Lockstep:
         self.report = self._bring_up()
         self.clock = self._clock_of_now()
         self.loop = self._make_loop(last, brake)
+        self.view = LoopView(self.loop)
 
     def _bring_up(self) -> startup.StartupReport:
-        return startup.bring_up(self._bus, self.settings, lambda: self.rig_ns)
+        return startup.bring_up(self.bus, self.settings, lambda: self.rig_ns)
 
     def _to_rig(self, frame: bytes) -> None:
         self.rig.receive(frame)
@@ -201,7 +216,7 @@ class Lockstep:
 
     def close(self) -> None:
         """Leave the bus."""
-        self._bus.shutdown()
+        self.bus.shutdown()
 
     def run(self, seconds: float) -> npt.NDArray[Any]:
         """Run for ``seconds`` of simulated time; returns the records of that time."""

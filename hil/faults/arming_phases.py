@@ -23,11 +23,11 @@ def _reads_back(rig: Lockstep) -> bool:
 
 
 def _waits_on_brake(rig: Lockstep) -> bool:
-    return rig.loop.machine.awaiting
+    return rig.view.awaiting
 
 
 def _enables(rig: Lockstep) -> bool:
-    return rig.loop.machine.taking and not opens_brake(rig)
+    return rig.view.taking and not opens_brake(rig)
 
 
 PHASES: dict[str, Callable[[Lockstep], bool]] = {

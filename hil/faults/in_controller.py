@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from functools import partial
 
 from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
+from hil.lockstep import Lockstep
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Verb
 from rigctl.control.safety import Action, Trip
@@ -80,11 +81,16 @@ def commanded(*verbs: Verb, after_s: float = 0.01) -> Injector:
     return _of((), inject)
 
 
+def trip(rig: Lockstep, action: Action, fault: Fault = Fault.LIMIT) -> None:
+    """Have a row of the safety table trip between two ticks."""
+    rig.loop.machine.trip(Trip(fault, 1.0, 0.0, action), rig.clock.now())
+
+
 def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
     """A limit whose action is a quick stop trips; the commands come while the drive is still stopping."""
 
     def inject(stand: Stand) -> Step:
-        stand.lockstep.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), stand.lockstep.clock.now())
+        trip(stand.lockstep, Action.QUICK_STOP)
         return stand.ends_after(after_s, lambda: _give(stand, verbs))
 
     return _of((Part.E_STOP,), inject)

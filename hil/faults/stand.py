@@ -258,8 +258,9 @@ def park(rig: Lockstep) -> None:
         RuntimeError: it has not taken it.
     """
     rig.run(rig.settings.hold.park_s + PARKED_S)
-    if rig.loop.observer.snapshot.held_by is not HeldBy.BRAKE:
-        raise RuntimeError(f"not held by the brake but by {rig.loop.observer.snapshot.held_by.name}")
+    held_by = HeldBy(int(rig.record["held_by"]))
+    if held_by is not HeldBy.BRAKE:
+        raise RuntimeError(f"not held by the brake but by {held_by.name}")
 
 
 def _accepted(rig: Lockstep, verb: Verb) -> None:

@@ -211,9 +211,9 @@ def bring_to_target(rig: Lockstep, target_n: float, settle_s: float, advance: Ad
     advance(0.0, "settling")
     if rig.loop.machine.mode is Mode.COMPENSATING:
         rig.run(settle_s)
-    machine = rig.loop.machine
-    if machine.mode is not Mode.COMPENSATING:
-        words = f"{machine.mode.name}, fault {machine.fault.name}, after {waited_s:.1f} s of tensioning"
+    mode, fault = rig.loop.machine.mode, rig.loop.machine.fault
+    if mode is not Mode.COMPENSATING:
+        words = f"{mode.name}, fault {fault.name}, after {waited_s:.1f} s of tensioning"
         raise ScenarioError([f"{rig.settings.rig}: not COMPENSATING before the run's start but {words}"], exit_code=1)
 
 

@@ -123,4 +123,4 @@ def _to_end(fault: InjectedFault, stand: Stand, *, leads: bool) -> Any:
 
     operator = StepFollower(rig, fault.part, mend, step)
     operator.run(fault.seconds + fault.after_s + SETTLES_S)
-    return operator.go() if leads else End.of(operator.state(), rig.loop.machine.action)
+    return operator.go() if leads else End.of(operator.state(), rig.view.action)

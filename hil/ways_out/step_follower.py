@@ -131,12 +131,16 @@ class StepFollower:
         return WayOut(not why, why, tuple(self._taken), tuple(self._misoffered))
 
     def _is_out(self) -> bool:
-        machine, rig = self._rig.loop.machine, self._rig.rig
-        if machine.mode is not Mode.DISARMED or machine.fault is not Fault.NONE or rig.drive.control.stage.powered:
+        loop, rig = self._rig.loop, self._rig.rig
+        if (
+            loop.machine.mode is not Mode.DISARMED
+            or loop.machine.fault is not Fault.NONE
+            or rig.drive.control.stage.powered
+        ):
             return False
         before_mm = rig.truth.stroke_mm
         self.run(AT_REST_S)
-        if machine.mode is not Mode.DISARMED or machine.fault is not Fault.NONE:
+        if loop.machine.mode is not Mode.DISARMED or loop.machine.fault is not Fault.NONE:
             return False
         slack = rig.truth.tension_n < self._rig.settings.tension.slack_n
         return slack or abs(rig.truth.stroke_mm - before_mm) < AT_REST_MM
@@ -173,12 +177,12 @@ class StepFollower:
         return refusal is Refusal.NONE
 
     def _settle(self) -> None:
-        machine, waited_s = self._rig.loop.machine, 0.0
+        loop, waited_s = self._rig.loop, 0.0
         while waited_s < LONGEST_S:
-            mode = machine.mode
+            mode = loop.machine.mode
             self.run(SETTLES_S)
             waited_s += SETTLES_S
-            if machine.mode is mode and mode not in (Mode.RELEASING, Mode.TENSIONING):
+            if loop.machine.mode is mode and mode not in (Mode.RELEASING, Mode.TENSIONING):
                 return
 
     def _hands(self, step: Instruction) -> bool:

@@ -110,7 +110,7 @@ def measured(
 
 
 def _at_level(rig: Lockstep, level: float) -> Peak:
-    filtering = rig.loop.observer.filter
+    filtering = rig.view.filter
     if filtering.opening is not None:
         filtering.opening = HeldLevel(level)  # type: ignore[assignment]
     count = round(PERIOD_S * rig.settings.loop.rate_hz)

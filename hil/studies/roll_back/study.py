@@ -77,8 +77,8 @@ def taken_over(rig: RigSettings, gains: Gains, case: RollBackCase) -> Moved:
         enabled = bench.rig.drive.control.state is DriveState.OPERATION_ENABLED
         bench.run(_TAKEN_S)
         sank_mm, rose_mm = before_mm - min(strokes), max(strokes) - before_mm
-        machine = bench.loop.machine
-        ended = machine.mode.name if machine.mode is not Mode.FAULT else f"FAULT {machine.fault.name}"
+        mode, fault = bench.loop.machine.mode, bench.loop.machine.fault
+        ended = mode.name if mode is not Mode.FAULT else f"FAULT {fault.name}"
         if not enabled:
             ended += ", drive off"
         strokes.clear()

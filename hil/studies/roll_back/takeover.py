@@ -135,5 +135,5 @@ def _most(strokes: list[float], before_mm: float) -> float:
 
 
 def _ended(bench: Lockstep) -> str:
-    machine = bench.loop.machine
-    return machine.mode.name if machine.mode is not Mode.FAULT else f"FAULT {machine.fault.name}"
+    mode, fault = bench.loop.machine.mode, bench.loop.machine.fault
+    return mode.name if mode is not Mode.FAULT else f"FAULT {fault.name}"
