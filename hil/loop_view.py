@@ -90,18 +90,8 @@ class LoopView:
 
     @property
     def drive_enabled(self) -> bool:
-        """By its own report, as the next two."""
+        """By its own report."""
         return self._seen.drive_enabled
-
-    @property
-    def drive_off(self) -> bool:
-        """It has no power, its brake is closed or closing."""
-        return self._seen.drive_off
-
-    @property
-    def drive_faulted(self) -> bool:
-        """It is in its fault state, or on the way there."""
-        return self._seen.drive_faulted
 
     @property
     def off_ns(self) -> int:

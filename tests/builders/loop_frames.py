@@ -6,6 +6,9 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind, Worded, worded
+from rigctl.control.faults import Fault
+from rigctl.control.modes import Mode
+from rigctl.control.safety import Action
 from rigctl.devices import objects as od
 
 
@@ -25,6 +28,11 @@ def worded_events(rig: Lockstep) -> list[tuple[int, Worded]]:
 def texts(rig: Lockstep, kind: Kind) -> list[str]:
     """The events of a kind since the last call, in words."""
     return [event.text for number, event in worded_events(rig) if number == kind]
+
+
+def latched(rig: Lockstep) -> tuple[Mode, Fault, Action]:
+    """Mode, latched fault and the reaction to it."""
+    return rig.loop.machine.mode, rig.loop.machine.fault, rig.view.action
 
 
 def stop_node(rig: Lockstep, node: int) -> None:

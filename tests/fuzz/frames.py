@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import can
 
+from hil.loop_view import LoopView
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
@@ -313,7 +314,7 @@ class _Judge:
         self._found.modes.add(loop.machine.mode.name)
         self._found.faults.add(loop.machine.fault.name)
         commands = [message for message in sent if message.arbitration_id == self._command_id]
-        if loop.machine.action is Action.SILENCE and not commands and all(map(self._of_silence, sent)):
+        if LoopView(loop).action is Action.SILENCE and not commands and all(map(self._of_silence, sent)):
             return
         if len(commands) != 1 or any(message.arbitration_id not in self._ours for message in sent):
             self._wrong(loop, f"sent {[hex(message.arbitration_id) for message in sent]}")

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from hil.faults.in_controller import trip
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
@@ -14,7 +15,7 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import OFF_STATES, Controlword
 
@@ -27,7 +28,7 @@ def quick_stopped_at_speed(rig: Lockstep, enter: Enter) -> None:
     enter(Mode.COMPENSATING)
     assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
     rig.run(0.5)
-    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
+    trip(rig, Action.QUICK_STOP)
 
 
 def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[StagePhase, int, bool]]:
@@ -35,7 +36,7 @@ def watched(rig: Lockstep, seconds: float) -> Iterator[tuple[StagePhase, int, bo
     for _ in range(round(seconds / TICK_S)):
         rig.loop.tick()
         moving = abs(rig.rig.truth.speed_mm_s) > power_seen.STILL_MM_S
-        yield rig.rig.drive.control.stage.phase, rig.loop.outbox.controlword, moving
+        yield rig.rig.drive.control.stage.phase, rig.record["controlword"], moving
 
 
 @pytest.mark.gate("60")
@@ -65,7 +66,7 @@ def test_reset_is_refused_until_the_stop_has_ended_and_says_so(rig: Lockstep, en
     while rig.command(Verb.RESET) is not Refusal.NONE:
         assert rig.clock.now() < until_ns
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
-    assert rig.loop.observer.snapshot.power.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
+    assert rig.view.off_ns >= rig.settings.cylinder.brake_delay_ms * MS
     assert rig.loop.machine.mode is Mode.DISARMED, "a quick stop takes the power off: a whole arming follows"
     assert rig.command(Verb.ARM) is Refusal.NONE
 
@@ -76,7 +77,7 @@ def test_a_reset_cannot_take_back_the_power_off_of_a_drive_that_does_not_stop(ri
     drive.defect = lambda speed, closed: (-10.0 if drive.control.stage.powered else speed, closed)
     while rig.loop.machine.fault is Fault.NONE:
         rig.loop.tick()
-    assert rig.loop.machine.action is Action.POWER_OFF
+    assert rig.view.action is Action.POWER_OFF
     assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING
     rig.run(0.2)
     assert drive.control.stage.phase is StagePhase.BRAKED
@@ -109,11 +110,11 @@ def test_an_arm_that_waits_is_refused_by_what_fails_meanwhile_and_ended_by_disar
     rig.run(0.1)
     while rig.loop.readback.reading_all:  # the devices' settings are read first
         rig.loop.tick()
-    assert rig.loop.machine.arming
+    assert rig.view.pending is Verb.ARM
     assert not any(rig.rig.drive.control.enabled for _ in watched(rig, 0.1))
     rig.rig.drive.press_e_stop(True)
     rig.run(0.1)
-    assert not rig.loop.machine.arming
+    assert rig.view.pending is not Verb.ARM
     (reply,) = [reply for reply in rig._replies.read() if reply["id"] == first]
     assert Check.E_STOP in Check(int(reply["checks"]))
     assert Check.NOT_AT_STANDSTILL not in Check(int(reply["checks"])), "what passes by itself is named alone only"
@@ -187,8 +188,7 @@ def test_a_brake_that_gives_way_slowly_is_found_latched_and_said(loaded: Lockste
     assert loaded.command(Verb.ARM, limit_s=4.0) is Refusal.BRAKE_SLIPPED
     assert abs(loaded.reply["moved_mm"]) == pytest.approx(arming.BRAKE_TEST_MM, abs=0.01)
     assert not loaded.rig.drive.control.enabled
-    machine = loaded.loop.machine
-    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
+    assert (loaded.loop.machine.mode, loaded.loop.machine.fault) == (Mode.FAULT, Fault.BRAKE_SLIPS)
     (line,) = told(loaded, Kind.TRIP)
     assert "moved by -0.05 mm on the closed brake (limit 0.05 mm)" in line
 

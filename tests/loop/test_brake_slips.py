@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from hil.faults import in_device, stand
+from hil.faults.in_controller import trip
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.cli import status
@@ -16,7 +17,7 @@ from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.machine import LOWERED_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.page.operator_panel import answers, devices
 from rigctl.wire.alarms import as_message
@@ -120,7 +121,7 @@ def test_no_reset_is_accepted_while_the_load_sinks(slipping: Lockstep) -> None:
 def test_a_brake_that_holds_again_can_be_reset(slipping: Lockstep) -> None:
     slipping.rig.drive.defect = None
     slipping.run(6.0)
-    armed = slipping.loop.machine.armed
+    armed = slipping.view.armed
     assert slipping.command(Verb.RESET) is Refusal.NONE
     assert slipping.loop.machine.mode is (Mode.HOLD if armed else Mode.DISARMED)
     assert slipping.run(1.0)["held_by"][-1] == HeldBy.BRAKE
@@ -184,7 +185,7 @@ def test_the_emergency_stop_bars_a_carry_and_ends_it(slipping: Lockstep) -> None
 
 
 def test_no_carry_after_the_last_resort(slipping: Lockstep) -> None:
-    slipping.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.SILENCE), slipping.clock.now())
+    trip(slipping, Action.SILENCE)
     slipping.run(0.5)
     assert slipping.command(Verb.CARRY, 60.0) is Refusal.WRONG_MODE
 
@@ -257,7 +258,7 @@ def test_a_hold_stops_the_lowering_and_the_motor_carries(slipping: Lockstep) -> 
     held_n = slipping.rig.truth.tension_n
     assert set(slipping.run(5.0)["held_by"]) == {HeldBy.MOTOR}
     assert slipping.rig.truth.tension_n == pytest.approx(held_n, abs=0.5)
-    left_ns = slipping.loop.machine.carry_until_ns - slipping.clock.now()
+    left_ns = slipping.view.carry_until_ns - slipping.clock.now()
     assert 0 < left_ns < LOWERED_NS
 
 
@@ -268,7 +269,7 @@ def test_a_drive_that_does_not_come_on_ends_with_its_power_off(
     monkeypatch.setattr(slipping.rig.drive.control, "_enable", lambda _t_ns: None)
     assert slipping.command(Verb.CARRY, 10.0) is Refusal.DRIVE_TIMEOUT
     slipping.run(0.5)
-    assert slipping.loop.machine.action is Action.POWER_OFF
+    assert slipping.view.action is Action.POWER_OFF
     assert slipping.rig.drive.control.stage.phase.name == "BRAKED"
 
 

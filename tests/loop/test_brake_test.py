@@ -54,7 +54,7 @@ def held(request: pytest.FixtureRequest, held_once: Started) -> Lockstep:
 def test_a_test_that_the_brake_passes_clears_the_flag_and_ends_on_the_motor(held: Lockstep, parked: bool) -> None:
     if parked:
         held.run(held.settings.hold.park_s + 1.0)
-        assert held.loop.observer.snapshot.power.braked
+        assert held.view.braked
     held.loop.brake.set("a test of the test")
     held.loop.brake.slipped_n = held.rig.truth.tension_n
     began_ns = held.clock.now()
@@ -76,7 +76,7 @@ def test_a_test_that_the_brake_fails_gives_the_load_back_to_the_motor(held: Lock
     held.run(2.0)
     assert held.loop.machine.fault is Fault.BRAKE_SLIPS
     assert held.loop.brake.fails
-    assert held.loop.observer.snapshot.held_by is HeldBy.MOTOR
+    assert held.record["held_by"] == HeldBy.MOTOR
     assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM + 0.15 * slip_mm_s, "a drive takes 0.15 s to have it"
 
 
@@ -96,7 +96,7 @@ def test_hold_ends_a_test_on_the_brake(held: Lockstep) -> None:
     held.give(Verb.HOLD)
     assert held.answer(given) is Refusal.ABORTED
     held.run(1.0)
-    assert (held.loop.machine.mode, held.loop.observer.snapshot.power.braked) == (Mode.HOLD, True)
+    assert (held.loop.machine.mode, held.view.braked) == (Mode.HOLD, True)
 
 
 @pytest.mark.parametrize("mode", [Mode.DISARMED, Mode.COMPENSATING])

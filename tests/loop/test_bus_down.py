@@ -25,8 +25,8 @@ def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:
     def send(*_: object) -> None:
         raise can.CanOperationError("Failed to transmit: Network is down", 100)
 
-    patch.setattr(rig.loop.inbox._bus, "recv", receive)
-    patch.setattr(rig.loop.outbox._bus, "send", send)
+    patch.setattr(rig.bus, "recv", receive)
+    patch.setattr(rig.bus, "send", send)
 
 
 def told(rig: Lockstep) -> list[str]:
@@ -61,11 +61,11 @@ def test_an_interface_down_and_up(
     rig: Lockstep, enter: Callable[[Mode], None], monkeypatch: pytest.MonkeyPatch, down_s: float, mode: Mode
 ) -> None:
     rig.events.read()
-    stroke_mm, ticks = rig.rig.truth.stroke_mm, rig.loop._tick
+    stroke_mm, ticks = rig.rig.truth.stroke_mm, rig.record["tick"]
     with monkeypatch.context() as patch:
         pull_down(rig, patch)
         rig.run(down_s)
-    assert rig.loop._tick == ticks + round(down_s * rig.settings.loop.rate_hz)
+    assert rig.record["tick"] == ticks + round(down_s * rig.settings.loop.rate_hz)
     assert rig.loop.inbox.receive_failures == 1
     assert told(rig) == [
         "frame not sent: Failed to transmit: Network is down [Error Code 100]",

@@ -43,9 +43,9 @@ def test_a_drive_that_stays_silent_is_left_to_its_own_supervision(rig: Lockstep)
     rig.events.read()
     stop_node(rig, rig.settings.cylinder.node)
     rig.run(0.05)
-    assert rig.loop.machine.action is Action.HOLD  # a burst of lost frames is over by then
+    assert rig.view.action is Action.HOLD  # a burst of lost frames is over by then
     rig.run(0.4)
-    assert rig.loop.machine.action is Action.SILENCE
+    assert rig.view.action is Action.SILENCE
     assert events(rig).count(Kind.ESCALATION) == 2  # quick stop, then silence
 
 

@@ -68,7 +68,7 @@ def test_a_drive_that_reacts_to_nothing_is_stopped_by_the_output(rig: Lockstep) 
         rig.tick()
     before_mm = rig.rig.truth.stroke_mm
     rig.run(0.5)
-    assert rig.loop.machine.action is Action.SILENCE
+    assert rig.view.action is Action.SILENCE
     assert not enables(rig)
     assert braked(rig)
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.5)
@@ -84,7 +84,7 @@ def test_without_the_output_such_a_drive_runs_on(settings: RigSettings, gains: G
         rig.run(0.5)
         rig.rig.drive.hung = True
         rig.run(2.0)
-        assert rig.loop.machine.action is Action.SILENCE
+        assert rig.view.action is Action.SILENCE
         assert not braked(rig)
 
 

@@ -149,7 +149,7 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
 
 def arms(rig: Lockstep) -> None:
     """Arm a rig that is DISARMED, whose drive may have missed the commands of a loop that has ended."""
-    if rig.loop.observer.snapshot.drive_faulted:
+    if od.drive_state(int(rig.record["statusword"])) in (od.DriveState.FAULT, od.DriveState.FAULT_REACTION_ACTIVE):
         assert rig.command(Verb.RESET) is Refusal.NONE
     if rig.loop.machine.mode is Mode.DISARMED:
         assert rig.command(Verb.ARM) is Refusal.NONE
@@ -158,7 +158,7 @@ def arms(rig: Lockstep) -> None:
 def until_off(rig: Lockstep) -> None:
     """Until the loop has the drive switch off."""
     for _ in range(20_000):
-        if not rig.loop.machine.drive_wanted:
+        if not rig.view.drive_wanted:
             return
         rig.tick()
     raise TimeoutError

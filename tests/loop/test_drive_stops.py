@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from hil.faults.in_controller import trip
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
@@ -15,10 +16,11 @@ from rigctl.config.signals import STATUS, WATCHED
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
-from rigctl.control.safety import STATUS_PERIODS, Action, Trip
+from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
+from tests.builders.loop_frames import latched
 from tests.builders.rig_bench import SAME_CLOCKS, changed
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
@@ -47,8 +49,7 @@ def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(rig: Lo
     rig.rig.drive.press_e_stop(True)
     for _ in range(2):  # the emergency message comes long before the input's next status
         rig.loop.tick()
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
+    assert latched(rig) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
     rig.run(0.5)
     assert carried(rig)
     if mode is not Mode.HOLD:
@@ -57,10 +58,10 @@ def test_an_emergency_stop_is_seen_at_once_latched_and_ends_on_the_brake(rig: Lo
     assert rig.reply["cause"] == Fault.E_STOP
     rig.rig.drive.press_e_stop(False)
     rig.run(2 * status_period_s(rig))
-    assert machine.fault is Fault.E_STOP  # latched
+    assert rig.loop.machine.fault is Fault.E_STOP  # latched
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.2)
-    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.DISARMED, Fault.NONE)
     assert rig.command(Verb.ARM) is Refusal.NONE
 
 
@@ -92,21 +93,21 @@ def test_arming_is_refused_while_pressed_and_while_the_input_is_not_seen(rig: Lo
     rig.run((STATUS_PERIODS + 1) * status_period_s(rig))
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert Check.E_STOP_UNSEEN | Check.STATUS_STALE in Check(int(rig.reply["checks"]))
-    assert math.isnan(rig.loop.observer.snapshot.drive_current_a)
+    assert math.isnan(rig.record["drive_current_a"])
     drive.press_e_stop(True)
     rig.loop.tick()
-    assert Check.E_STOP in Check(rig.loop._orders.failed_checks())
+    assert Check.E_STOP in rig.view.failed_checks
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_current_and_temperature_are_the_drives(rig: Lockstep) -> None:
-    snapshot, truth = rig.loop.observer.snapshot, rig.rig.truth
+    record, truth = rig.record, rig.rig.truth
     simulation = rig.settings.simulation
     assert simulation is not None
     load_a, friction_a = (n / simulation.drive.force_n_a for n in (truth.tension_n, simulation.drive.friction_n))
     unit_a = (rig.settings.cylinder.rated_current_a or math.nan) * objects.PER_CURRENT_UNIT
-    assert abs(snapshot.drive_current_a - load_a) <= friction_a + unit_a
-    assert simulation.drive.ambient_c <= snapshot.drive_temperature_c < simulation.drive.ambient_c + 1.0
+    assert abs(record["drive_current_a"] - load_a) <= friction_a + unit_a
+    assert simulation.drive.ambient_c <= record["drive_temperature_c"] < simulation.drive.ambient_c + 1.0
 
 
 def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings: RigSettings, gains: Gains) -> None:
@@ -118,9 +119,8 @@ def test_a_drive_that_is_not_asked_for_its_status_has_no_emergency_stop(settings
         rig.run(0.3)
         rig.rig.drive.e_stop_pressed = True
         rig.run(0.3)
-        snapshot = rig.loop.observer.snapshot
-        assert not snapshot.e_stop
-        assert math.isnan(snapshot.drive_temperature_c)
+        assert not rig.view.e_stop
+        assert math.isnan(rig.record["drive_temperature_c"])
         assert rig.command(Verb.ARM) is Refusal.NONE
         identifiers = {int.from_bytes(frame[:4], "little") for _, frame in rig.frames}
         assert objects.TPDO2_BASE + settings.cylinder.node not in identifiers
@@ -140,11 +140,11 @@ def moving(rig: Lockstep) -> None:
 def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(rig: Lockstep) -> None:
     moving(rig)
     before = rig.rig.truth
-    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), rig.clock.now())
+    trip(rig, Action.QUICK_STOP)
     words = set()
     for _ in range(400):
         rig.loop.tick()
-        words.add(rig.loop.outbox.controlword)
+        words.add(rig.record["controlword"])
     assert carried(rig)
     assert objects.Controlword.DISABLE_VOLTAGE not in words  # power is never cut at once on a drive that obeys
     assert abs(rig.rig.truth.stroke_mm - before.stroke_mm) < 0.4  # 8 mm/s: 0.06 mm of ramp, 0.2 mm of lag
@@ -163,7 +163,7 @@ def test_a_drive_that_runs_away_is_cut_and_its_brake_closes(rig: Lockstep, speed
         assert rig.clock.now() - began_ns < 300_000_000
         if rig.loop.machine.fault is Fault.NONE:
             tripped_ns = rig.clock.now()
-    assert rig.loop.machine.action is Action.POWER_OFF
+    assert rig.view.action is Action.POWER_OFF
     assert rig.clock.now() - tripped_ns <= 150_000_000  # 60 ms to stop by itself, 50 ms for the brake
     assert carried(rig)
 

@@ -16,6 +16,8 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb, command_slot
 from rigctl.control.safety import Action
 from rigctl.devices import objects
+from rigctl.ipc.record import Flag
+from tests.builders.loop_frames import latched
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 DEVICES = {2: "tension cell", 3: "inclinometer", 4: "cylinder drive"}
@@ -41,8 +43,7 @@ def test_a_service_tool_that_drives_while_disarmed_trips_and_is_stopped(rig: Loc
     before_mm = rig.rig.truth.stroke_mm
     rig.rig.drive.take_over(ServiceTool(5.0))
     rig.run(0.3)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.DRIVE_UNASKED, Action.POWER_OFF)
+    assert latched(rig) == (Mode.FAULT, Fault.DRIVE_UNASKED, Action.POWER_OFF)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert abs(rig.rig.truth.stroke_mm - before_mm) < 0.3  # 20 ms of persistence at 5 mm/s, the lag and the ramp
     (said,) = trips(rig)
@@ -64,7 +65,7 @@ def test_a_tool_that_only_enables_trips_too_and_nobody_resets_or_arms_while_it_i
 
 def test_a_tool_that_comes_in_the_very_tick_of_arm_is_seen_before_it(rig: Lockstep) -> None:
     rig.rig.drive.take_over(ServiceTool(5.0, shows_remote=True))
-    while not rig.loop.observer.snapshot.drive_enabled:
+    while not rig.record["flags"] & Flag.DRIVE_ENABLED:
         rig.loop.tick()
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert Check(int(rig.reply["checks"])) & Check.DRIVE_REFUSES
@@ -124,8 +125,7 @@ def test_a_bit_of_the_statusword_trips_once_it_lasts(
     rig.run((persistence_ms - 1) * 1e-3)
     assert rig.loop.machine.fault is Fault.NONE
     rig.run(0.005)
-    machine = rig.loop.machine
-    assert (machine.fault, machine.action) == (Fault.DRIVE_REFUSES, action)
+    assert (rig.loop.machine.fault, rig.view.action) == (Fault.DRIVE_REFUSES, action)
     (said,) = trips(rig)
     assert "statusword bit" in said
 
@@ -169,8 +169,7 @@ def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, no
     rig.run(0.39)
     assert rig.loop.machine.fault is Fault.NONE  # three lost in a burst are no fault
     rig.run(0.22)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.NODE_NOT_OPERATIONAL, Action.HOLD)
+    assert latched(rig) == (Mode.FAULT, Fault.NODE_NOT_OPERATIONAL, Action.HOLD)
     (said,) = trips(rig)
     assert f"{DEVICES[node]} (node {node}) has sent no heartbeat for 501 ms (limit 500 ms)" in said
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT

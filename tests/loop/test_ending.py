@@ -22,6 +22,7 @@ from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 from rigctl.recorder.trips import triggers
 from tests.builders.branches import Started
+from tests.builders.loop_changes import LoopStep, failing
 
 SINKS_MM = 0.2
 """Of a load that the motor holds, as in tests/studies/test_ways_out.py."""
@@ -136,7 +137,7 @@ def test_signals_that_come_together_are_one_request(carried: Lockstep) -> None:
     carried.run(0.5 * TOGETHER_NS * 1e-9)
     carried.loop.repeated_stops += 1
     carried.run(TOGETHER_NS * 1e-9)
-    assert not carried.loop.machine.stopping
+    assert not carried.record["flags"] & Flag.STOPPING
     assert steps(carried) == [EndStep.WAITS]
 
 
@@ -240,22 +241,18 @@ def test_nothing_delays_an_end_that_no_load_is_in_the_way_of(rig: Lockstep) -> N
     rig.events.read()
     rig.loop.stop_requested = True
     records = rig.run(0.001)
-    assert rig.loop.machine.stopping
+    assert records["flags"][-1] & Flag.STOPPING
     assert math.isnan(records["end_s"][-1])
     run_until_finished(rig, ENDS_S)
     assert steps(rig) == []
 
 
 def test_a_failing_tick_does_not_end_a_loop_that_has_a_load_to_lower(
-    carried: Lockstep, monkeypatch: pytest.MonkeyPatch
+    carried: Lockstep,
 ) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise RuntimeError("a test")
-
     carried.loop.stop_requested = True
     carried.run(1.0)
-    with monkeypatch.context() as broken:
-        broken.setattr(carried.loop._watch, "look", fails)
+    with failing(carried, LoopStep.WATCH):
         carried.run(0.005)
     load = Watched(carried)
     run_until_finished(carried, WAITS_S + LOWERS_S)

@@ -99,8 +99,8 @@ def test_the_estimated_inclination_follows_the_rope_between_the_samples(rig: Loc
     errors, rates = [], []
     for _ in range(6000):
         rig.loop.tick()
-        angle, rate, _, _ = rig.loop.observer.inclination.state
-        errors.append(angle - rig.rig.truth.tangential_rad)
-        rates.append(rate)
+        record = rig.record
+        errors.append(record["tangential_estimate_rad"] - rig.rig.truth.tangential_rad)
+        rates.append(record["tangential_rate_rad_s"])
     assert np.sqrt(np.mean(np.square(errors))) < math.radians(0.02)  # the sensor's own filter is 8 ms late
     assert np.median(rates[2000:3000]) == pytest.approx(6.545 / 1800.0, rel=0.1)  # full speed, the rail still sticks

@@ -16,7 +16,7 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.modes import HeldBy, LoadAtRest, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
@@ -101,7 +101,7 @@ def test_a_creep_that_a_stuck_encoder_hides_is_parked(
         truth = play(rig, both(creeps(speed), ENCODER_STUCK), 2.0 / abs(speed))
         assert truth.kept, (truth.moved_mm, truth.changed)
         assert rig.rig.drive.control.stage.braked
-        assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.STRETCH_UNEXPLAINED, Action.POWER_OFF)
+        assert (rig.loop.machine.fault, rig.view.action) == (Fault.STRETCH_UNEXPLAINED, Action.POWER_OFF)
 
 
 @pytest.mark.gate("6 N/mm--0.3-frozen", "34 N/mm--0.3-silent")
@@ -121,7 +121,7 @@ def test_an_encoder_that_drifts_takes_the_load_nowhere_whatever_the_cell_says(
         truth = play(rig, both(drifts, CELL_FROZEN) if cell == "frozen" else drifts, 2.0 / abs(speed))
         assert truth.kept, (truth.moved_mm, truth.changed)
         assert rig.rig.drive.control.stage.braked
-        assert rig.loop.machine.action is Action.POWER_OFF
+        assert rig.view.action is Action.POWER_OFF
 
 
 @pytest.mark.gate("6 N/mm-0.5", "34 N/mm-0.2")
@@ -150,13 +150,13 @@ def test_the_slowest_slip_is_a_load_that_is_not_at_rest_and_a_fault_that_no_rese
         truth = play(rig, both(brake_slips(speed), ENCODER_STUCK), 1.0 / speed)
         assert rig.loop.machine.fault is Fault.LOAD_SINKS
         assert truth.at_fault_mm <= 0.5
-        assert not rig.loop.observer.snapshot.load_at_rest.rests
+        assert not LoadAtRest(int(rig.record["load_at_rest"])).rests
         for _ in range(3):
             assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
             assert HeldBy.BRAKE not in rig.run(10.0)["held_by"]
         rig.rig.drive.brake.slip_mm_s = 0.0
         rig.run(20.0)
-        assert rig.loop.observer.snapshot.load_at_rest.rests
+        assert LoadAtRest(int(rig.record["load_at_rest"])).rests
         assert rig.command(Verb.RESET) is Refusal.NONE
 
 

@@ -17,6 +17,7 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
+from tests.builders.loop_frames import latched
 
 JUMP_UM = 52_000
 
@@ -103,8 +104,7 @@ def test_a_jump_while_armed_takes_the_drive_off_power_and_waits_for_the_operator
     before_mm = rig.rig.truth.stroke_mm
     rig.rig.drive.distort(*STROKE, lambda raw: raw - JUMP_UM)
     rig.run(0.5)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.STROKE_JUMPED, Action.POWER_OFF)
+    assert latched(rig) == (Mode.FAULT, Fault.STROKE_JUMPED, Action.POWER_OFF)
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=0.3)
     assert not rig.rig.drive.control.enabled
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT

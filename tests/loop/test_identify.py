@@ -184,7 +184,7 @@ def test_anything_ends_it_within_a_tick_and_the_stroke_is_held(held: Lockstep, w
     else:
         cell_reads(held, lambda n: n + 16.0)
     records = held.run(0.005)
-    assert held.loop.machine.trial is None
+    assert held.view.trial is None
     reply = held._replies.read()[0]
     assert reply["reason"] == (Refusal.STRAYED if what == "load" else Refusal.ABORTED)
     if what != "tension":
@@ -274,7 +274,7 @@ def test_a_payload_that_is_bumped_makes_it_uncertain_and_not_wrong(settings: Rig
         parts = [rig.run(4.5)]
         start = rig.clock.now()
         cell_reads(rig, lambda n: n + 3.0 * math.exp((start - rig.clock.now()) / 3e8))
-        while rig.loop.machine.trial is not None:
+        while rig.view.trial is not None:
             parts.append(rig.run(0.001))
         records = np.concatenate(parts)
         rows = {row["key"]: row for row in proposal.rows(proposal.signals_of(records, 1e-3), settings)}

@@ -20,6 +20,7 @@ from rigctl.control.safety import Action
 from rigctl.control.snapshot import EStop
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
+from tests.builders.loop_frames import latched
 
 IO = IoSettings(e_stop_input=9)
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
@@ -67,8 +68,7 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: 
     before = rig.rig.truth
     node(rig).press_e_stop(True)
     assert ticks_until_fault(rig, 7) <= IO.inhibit_ms + 2
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
+    assert latched(rig) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
     assert trip_value(rig) == EStop.IO_NODE
     assert not rig.loop.inbox.e_stop  # the drive's own input, which is not open
     assert rig.rig.drive.errors == ()
@@ -84,10 +84,10 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: 
     assert rig.reply["cause"] == Fault.E_STOP
     node(rig).press_e_stop(False)
     rig.run(0.1)
-    assert machine.fault is Fault.E_STOP  # latched
+    assert rig.loop.machine.fault is Fault.E_STOP  # latched
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(0.2)
-    assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.DISARMED, Fault.NONE)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED, "a reset switches nothing on"
     assert rig.command(Verb.ARM) is Refusal.NONE
 
@@ -116,7 +116,7 @@ def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lo
     assert rig.rig.drive.control.enabled
     node(rig).press_e_stop(True)
     rig.run(0.5)
-    assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.CELL_STALE, Action.QUICK_STOP)
+    assert (rig.loop.machine.fault, rig.view.action) == (Fault.CELL_STALE, Action.QUICK_STOP)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert rig.reply["cause"] == Fault.E_STOP
@@ -127,12 +127,11 @@ def test_the_button_itself_opens_both_and_either_alone_keeps_the_reset_away(rig:
     rig.rig.drive.press_e_stop(True)
     node(rig).press_e_stop(True)
     rig.run(0.5)
-    snapshot = rig.loop.observer.snapshot
-    assert snapshot.e_stop == EStop.DRIVE | EStop.IO_NODE
+    assert rig.view.e_stop == EStop.DRIVE | EStop.IO_NODE
     assert Check(int(rig.run(0.6)["checks"][-1])) & (Check.E_STOP | Check.E_STOP_IO) == Check.E_STOP | Check.E_STOP_IO
     rig.rig.drive.press_e_stop(False)
     rig.run(0.2)
-    assert snapshot.e_stop == EStop.IO_NODE
+    assert rig.view.e_stop == EStop.IO_NODE
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     node(rig).press_e_stop(False)
     rig.run(0.1)
@@ -147,11 +146,10 @@ def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(rig: Lo
     silence(rig)
     ticks = ticks_until_fault(rig, IO.stale_ms + 2)
     assert ticks > IO.stale_ms - IO.event_ms - 2  # the last sample may be as old as the event timer
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.E_STOP_UNSEEN, Action.HOLD)
+    assert latched(rig) == (Mode.FAULT, Fault.E_STOP_UNSEEN, Action.HOLD)
     tripped = rig.rig.truth
     rig.run(0.5)
-    assert machine.action is Action.HOLD  # stopped by the motor: the stop is not known to be pressed
+    assert rig.view.action is Action.HOLD  # stopped by the motor: the stop is not known to be pressed
     assert rig.rig.truth.stroke_mm == pytest.approx(tripped.stroke_mm, abs=0.3)
     if mode in (Mode.HOLD, Mode.COMPENSATING):
         assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=1.0)
@@ -159,9 +157,9 @@ def test_a_silent_node_ends_with_the_stroke_held_until_it_is_heard_again(rig: Lo
     assert rig.reply["cause"] == Fault.E_STOP_UNSEEN
     rig.hub.tap = None
     rig.run(0.1)
-    assert machine.fault is Fault.E_STOP_UNSEEN  # latched
+    assert rig.loop.machine.fault is Fault.E_STOP_UNSEEN  # latched
     assert rig.command(Verb.RESET) is Refusal.NONE
-    assert machine.mode is Mode.HOLD
+    assert rig.loop.machine.mode is Mode.HOLD
 
 
 def test_arming_is_refused_while_its_input_is_not_seen(rig: Lockstep) -> None:
@@ -181,7 +179,7 @@ def test_pressed_and_then_silent_it_stays_pressed(rig: Lockstep) -> None:
     silence(rig)
     node(rig).press_e_stop(False)  # the message does not get through
     rig.run(0.6)
-    assert rig.loop.observer.snapshot.e_stop == EStop.IO_NODE
+    assert rig.view.e_stop == EStop.IO_NODE
     checks = Check(int(rig.run(0.6)["checks"][-1]))
     assert checks == Check.E_STOP_IO | Check.E_STOP_IO_UNSEEN
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT

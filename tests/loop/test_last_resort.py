@@ -23,6 +23,7 @@ from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from tests.builders.branches import Started
+from tests.builders.loop_frames import latched
 from tests.builders.rig_bench import changed
 
 Inject = Callable[[Lockstep], None]
@@ -164,7 +165,7 @@ def test_no_fault_of_the_command_path_moves_the_load(rig: Lockstep, mode: Mode, 
     end_mm = rig.rig.truth.stroke_mm
     if tripped_mm is not None:
         assert end_mm == pytest.approx(tripped_mm, abs=1.0)
-        assert braked(rig) or rig.loop.machine.action is Action.HOLD
+        assert braked(rig) or rig.view.action is Action.HOLD
     if tripped_mm is not None or mode is Mode.HOLD:  # a motion that goes on is ridden through, and ends with the loop
         assert kill_and_see_mm(rig) < 0.1
 
@@ -176,8 +177,7 @@ def test_without_sync_the_drive_is_stopped_from_its_last_speed(rig: Lockstep) ->
     before_mm = rig.rig.truth.stroke_mm
     sync_lost(rig)
     rig.run(3.0)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.SYNC_LOST, Action.SILENCE)
+    assert latched(rig) == (Mode.FAULT, Fault.SYNC_LOST, Action.SILENCE)
     assert braked(rig)
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.0)
     assert kill_and_see_mm(rig) == 0.0
@@ -194,7 +194,7 @@ def test_a_drive_that_ignores_its_commands_is_left_to_its_own_supervision(rig: L
         rig.give(Verb.TENSION)
     for _ in range(4000):
         rig.tick()
-        if rig.loop.machine.action is Action.SILENCE:
+        if rig.view.action is Action.SILENCE:
             break
     silent_mm = rig.rig.truth.stroke_mm
     rig.run(1.0)
@@ -215,13 +215,13 @@ def test_a_motor_that_creeps_under_its_own_stop_loses_its_power_by_sdo(rig: Lock
     else:
         FAULTS[fault](rig)
     drive.defect = lambda speed_mm_s, braked: (speed_mm_s if braked else speed_mm_s - 5.0, braked)
-    while rig.loop.machine.action is not Action.SILENCE:
+    while rig.view.action is not Action.SILENCE:
         rig.tick()
     silent_mm = rig.rig.truth.stroke_mm
     rig.run(2.0)
     assert braked(rig)
     assert rig.rig.truth.stroke_mm == pytest.approx(silent_mm, abs=1.0)
-    assert rig.loop.observer.snapshot.rival_age_ns > 1e9, "the drive's answer is to us"
+    assert rig.view.rival_age_ns > 1e9, "the drive's answer is to us"
 
 
 @pytest.mark.starts_in(Mode.HOLD)
@@ -229,7 +229,7 @@ def test_silence_is_power_off_by_sdo_and_nmt_stop_then_sync_alone(rig: Lockstep)
     heard: list[bytes] = []
     rig.hub.attach(heard.append)
     sync_lost(rig)
-    while rig.loop.machine.action is not Action.SILENCE:
+    while rig.view.action is not Action.SILENCE:
         rig.tick()
     before = len(heard)
     rig.run(1.0)
@@ -277,11 +277,10 @@ def test_a_fault_of_the_command_path_while_arming_leaves_the_load_where_it_was(
     arm_until(rig, phase)
     FAULTS[fault](rig)
     rig.run(7.0 if "1 s" in fault else 4.5)  # read-back, brake test, time-out of the drive, off
-    machine = rig.loop.machine
     assert rig.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=1.0)
     assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, rel=0.03)
-    if machine.mode is not Mode.HOLD:
-        assert braked(rig), (machine.mode, machine.fault, machine.action)
+    if rig.loop.machine.mode is not Mode.HOLD:
+        assert braked(rig), latched(rig)
         assert not rig.rig.drive.control.enabled
     assert kill_and_see_mm(rig) < 0.1
 
@@ -294,7 +293,7 @@ def test_sync_lost_while_the_brake_opens_is_a_fault_at_once(loaded: Lockstep) ->
     assert rig.loop.machine.mode is Mode.FAULT
     assert rig.loop.machine.fault in (Fault.SYNC_LOST, Fault.BUS_SILENT)  # nothing else is read back then
     rig.run(1.0)
-    assert rig.loop.machine.action is Action.SILENCE
+    assert rig.view.action is Action.SILENCE
     assert braked(rig)
 
 
@@ -305,7 +304,7 @@ def test_a_drive_that_does_not_go_off_after_disarm_is_left_to_its_own_supervisio
     id_ = rig.give(Verb.DISARM)
     rig.run(5.0)
     assert braked(rig)
-    assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.DRIVE_UNASKED, Action.SILENCE)
+    assert (rig.loop.machine.fault, rig.view.action) == (Fault.DRIVE_UNASKED, Action.SILENCE)
     assert rig.answer(id_) in (Refusal.NONE, Refusal.OFF_UNSEEN), "never before the drive was seen off"
 
 
@@ -320,8 +319,7 @@ def test_a_drive_whose_supervision_is_found_off_is_parked(rig: Lockstep, index: 
         rig.tick()
     before_mm = rig.rig.truth.stroke_mm
     rig.run(0.5)
-    machine = rig.loop.machine
-    assert (machine.fault, machine.action) == (Fault.SUPERVISION_LOST, Action.QUICK_STOP)
+    assert (rig.loop.machine.fault, rig.view.action) == (Fault.SUPERVISION_LOST, Action.QUICK_STOP)
     assert braked(rig)
     assert rig.rig.truth.stroke_mm == pytest.approx(before_mm, abs=1.0)
     assert kill_and_see_mm(rig) == 0.0
@@ -346,8 +344,7 @@ def test_a_load_whose_drive_stays_silent_after_reset_is_a_fault_again(rig: Locks
     rig.run(3.0)
     assert rig.command(Verb.RESET) is Refusal.NONE
     rig.run(1.5)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.DRIVE_STALE)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.DRIVE_STALE)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     rig.hub.tap = None
     rig.run(0.5)
@@ -360,7 +357,7 @@ def test_a_load_whose_drive_stays_silent_after_reset_is_a_fault_again(rig: Locks
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_reset_brings_all_devices_up_again_and_the_rig_works(rig: Lockstep) -> None:
     sync_lost(rig)
-    while rig.loop.machine.action is not Action.SILENCE:
+    while rig.view.action is not Action.SILENCE:
         rig.tick()
     assert rig.command(Verb.RESET) is Refusal.STOP_RUNNING, "the drive's supervision has had no time yet"
     rig.run(2.1)

@@ -45,7 +45,7 @@ def shown(rig: Lockstep) -> LoadAtRest:
 
 def test_a_parked_load_rests_by_tension_and_stroke(parked: Lockstep) -> None:
     assert shown(parked) is LoadAtRest.BOTH
-    assert parked.loop.observer.snapshot.held_by is HeldBy.BRAKE
+    assert parked.record["held_by"] == HeldBy.BRAKE
     assert texts(parked, Kind.LOAD_AT_REST) == []
 
 
@@ -63,7 +63,7 @@ def test_a_device_that_is_silent_shows_nothing(parked: Lockstep, silent: list[st
 
 def test_on_a_slack_rope_the_stroke_shows_it(rig: Lockstep) -> None:
     rig.run(0.1 + REST_S)
-    assert rig.loop.observer.slack
+    assert rig.view.slack
     assert shown(rig) is LoadAtRest.STROKE
 
 

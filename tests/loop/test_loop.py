@@ -19,6 +19,7 @@ from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.metrics import tension_error as metrics
+from tests.builders.loop_changes import LoopStep, failing, leave_unexplained
 from tests.builders.loop_frames import assert_held, events, stop_node
 
 Enter = Callable[[Mode], None]
@@ -44,7 +45,7 @@ def test_a_slack_rope_shows_no_run_out_no_stretch_and_good_samples(rig: Lockstep
     assert np.abs(records["stretch_mm_s"]).max() < 1e-9
     assert not records["tension_quality"].any()
     assert not records["inclination_quality"].any()
-    assert rig.loop.observer.snapshot.lateness_ns == records["lateness_ns"][-1] == 0
+    assert rig.view.lateness_ns == records["lateness_ns"][-1] == 0
     assert rig.run(0.5)["checks"][-1] == 0  # the preflight for display is half a second old at most
 
 
@@ -171,19 +172,15 @@ def test_disarming_stops_the_stroke_before_the_power_goes(rig: Lockstep) -> None
     assert abs(float(records["speed_mm_s"][np.argmax(off)])) < 0.1
 
 
-@pytest.mark.parametrize("target", ["_receive", "estimate", "_decide", "_speed", "_send", "_record"])
+@pytest.mark.parametrize(
+    "step",
+    [LoopStep.RECEIVE, LoopStep.ESTIMATE, LoopStep.DECIDE, LoopStep.SPEED, LoopStep.SEND, LoopStep.RECORD],
+)
 @pytest.mark.starts_in(Mode.COMPENSATING)
-def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
-    rig: Lockstep, monkeypatch: pytest.MonkeyPatch, target: str
-) -> None:
+def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(rig: Lockstep, step: LoopStep) -> None:
     before = rig.rig.truth
-
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("made up")
-
     rig.events.read()
-    with monkeypatch.context() as patch:
-        patch.setattr(rig.loop.observer if target == "estimate" else rig.loop, target, broken)
+    with failing(rig, step):
         rig.run(0.02)
     records = rig.run(0.002)
     assert records["mode"][-1] == Mode.FAULT
@@ -193,22 +190,17 @@ def test_an_exception_anywhere_in_the_tick_stops_the_stroke_and_is_latched(
     rig.run(0.3)
     assert_held(rig, before.tension_n, before.stroke_mm)
     assert rig.command(Verb.RESET) is Refusal.NONE
-    if target == "_decide":
+    if step is LoopStep.DECIDE:
         assert rig.command(Verb.TENSION) is Refusal.NONE
         rig.run_until(Mode.COMPENSATING, 5.0)
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
-def test_what_a_tick_found_is_reported_though_its_record_fails(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_a_tick_found_is_reported_though_its_record_fails(rig: Lockstep) -> None:
     """A trip, its change of mode, a further cause and an emergency of a device in the very tick without a record."""
     rig.run(0.02)
     rig.events.read()
-
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("made up")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rig.loop._logbook, "record", broken)
+    with failing(rig, LoopStep.WRITE_RECORD):
         rig.loop.inbox.e_stop = rig.loop.inbox.restarted = True
         rig.loop.inbox._notices.emergencies.append((2, 0x8110, b""))
         rig.run(0.001)
@@ -220,27 +212,20 @@ def test_what_a_tick_found_is_reported_though_its_record_fails(rig: Lockstep, mo
     assert Fault.DEVICE_RESTARTED in causes
 
 
-@pytest.mark.parametrize("step", ["_speed", "_send", "_record"])
+@pytest.mark.parametrize("step", [LoopStep.SPEED, LoopStep.SEND, LoopStep.RECORD])
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_stretch_tolerated_in_motion_is_no_cause_once_an_exception_holds_the_stroke(
-    rig: Lockstep, monkeypatch: pytest.MonkeyPatch, step: str
+    rig: Lockstep, step: LoopStep
 ) -> None:
-    rig.loop.observer._plausibility.unexplained_mm = (
-        8.0  # below the limit of a mode that moves, above the limit at rest
-    )
-
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("made up")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rig.loop, step, broken)
+    leave_unexplained(rig, 8.0)  # below the limit of a mode that moves, above the limit at rest
+    with failing(rig, step):
         rig.run(0.001)
     records = rig.run(1.0)
     assert set(records["fault"]) == {Fault.LOOP_EXCEPTION}
     assert not any(
         event["a"] == Fault.STRETCH_UNEXPLAINED for event in rig.events.read() if event["kind"] == Kind.CAUSE
     )
-    assert rig.loop.machine.action is Action.HOLD
+    assert rig.view.action is Action.HOLD
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
@@ -290,23 +275,17 @@ def test_foreign_and_malformed_frames_are_counted_and_change_nothing(rig: Lockst
 
 def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
     frame = (0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6)
-    snapshot = rig.loop.observer.snapshot
     for recent, total in ((1, 1), (2, 3)):  # a second apart: a limit of the rig file counts those of the last second
         for _ in range(recent):
             rig.inject(frame)
             records = rig.run(0.01)
-        assert (records["error_frames"][-1], snapshot.error_frames) == (total, recent)
+        assert (records["error_frames"][-1], rig.view.error_frames) == (total, recent)
         rig.run(1.1)
-        assert snapshot.error_frames == 0
+        assert rig.view.error_frames == 0
 
 
-def test_a_loop_that_can_tell_nobody_of_an_exception_counts_it(rig: Lockstep, monkeypatch: pytest.MonkeyPatch) -> None:
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("made up")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rig.loop, "_decide", broken)
-        patch.setattr(rig.loop._logbook, "notice", broken)
+def test_a_loop_that_can_tell_nobody_of_an_exception_counts_it(rig: Lockstep) -> None:
+    with failing(rig, LoopStep.DECIDE, LoopStep.NOTICE):
         rig.run(0.003)
     assert rig.loop.exceptions_untold == 3
     assert rig.run(0.001)["fault"][-1] == Fault.LOOP_EXCEPTION
@@ -320,7 +299,7 @@ def test_a_babbling_bus_and_a_deaf_one_are_told_once_a_second(rig: Lockstep, mon
 
     error = (0x20000000 | 0x004).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + b"\0\x20" + bytes(6)
     with monkeypatch.context() as patch:
-        patch.setattr(rig.loop.outbox._bus, "send", deaf)
+        patch.setattr(rig.bus, "send", deaf)
         for _ in range(1500):
             rig.inject(error)
             rig.loop.tick()
@@ -342,17 +321,12 @@ def test_a_late_or_lost_answer_is_counted_as_missing(rig: Lockstep) -> None:
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_after_an_exception_the_drive_starts_from_rest_and_the_filter_knows_it(
-    rig: Lockstep, monkeypatch: pytest.MonkeyPatch
+    rig: Lockstep,
 ) -> None:
     assert rig.command(Verb.TARGET, 250.0) is Refusal.NONE
     before = rig.run(0.4)
     assert abs(before["command_mm_s"][-1]) > 5.0
-
-    def broken(*_: object, **__: object) -> None:
-        raise ZeroDivisionError("made up")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rig.loop.observer, "estimate", broken)
+    with failing(rig, LoopStep.ESTIMATE):
         rig.loop.tick()
     assert rig.read_records()["command_mm_s"][-1] == 0.0
     after = rig.run(0.1)

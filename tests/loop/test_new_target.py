@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 
+from hil.faults.in_controller import trip
 from hil.faults.in_device import CELL, reads
 from hil.faults.in_plant import payload_moves
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
-from rigctl.control.loop_probe import LoopProbe
 from rigctl.control.margin_probe import GROW_S, SETTLED_S
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.probe_plan import plan
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.tension import Gains
 from rigctl.control.unseen_travel import MOST_SHARE
@@ -35,7 +35,7 @@ def take(rig: Lockstep, target_n: float) -> float:
     travel_mm = 0.0
     for _ in range(round((way_n / rig.settings.tension.ramp_n_s + AFTER_S) * rig.settings.loop.rate_hz)):
         rig.tick()
-        travel_mm = max(travel_mm, abs(rig.loop.observer.snapshot.travel_mm))
+        travel_mm = max(travel_mm, abs(rig.view.travel_mm))
     assert rig.loop.machine.fault is Fault.NONE
     assert rig.rig.truth.vertical_n == pytest.approx(target_n, abs=0.2)
     return travel_mm
@@ -52,7 +52,7 @@ def test_what_the_payload_moves_is_travel_after_a_new_target_too(rig: Lockstep) 
     take(rig, 220.0)
     payload_moves(-2.0, 4.0)(Stand(rig, "travel"))
     rig.run(1.0)
-    assert rig.loop.observer.snapshot.travel_mm == pytest.approx(-2.0, abs=LAG_MM)
+    assert rig.view.travel_mm == pytest.approx(-2.0, abs=LAG_MM)
 
 
 @pytest.mark.study
@@ -113,11 +113,11 @@ def test_a_ramp_that_is_cut_short_ends_on_the_brake_without_a_finding(
         assert rig.command(Verb.HOLD) is Refusal.NONE
     else:
         cause = Fault.LIMIT
-        rig.loop.machine.trip(Trip(cause, 1.0, 0.0, Action.HOLD), rig.clock.now())
-    snapshot, first_second, found = rig.loop.observer.snapshot, rig.loop._first_second, 0.0
+        trip(rig, Action.HOLD, cause)
+    found = 0.0
     for _ in range(round((rig.settings.hold.park_s + 2.0) * rig.settings.loop.rate_hz)):
         rig.tick()
-        found = max(found, abs(snapshot.stretched_mm), snapshot.fallen_n, first_second.sank_mm)
+        found = max(found, rig.view.shown_loss)
     assert rig.rig.drive.control.stage.braked
     assert (rig.loop.machine.fault, found) == (cause, 0.0)
 
@@ -138,9 +138,8 @@ def test_a_ramp_is_no_answer_to_the_probe(rig: Lockstep, target_n: float) -> Non
     """A TARGET ended in CELL_FROZEN within a second, or its ramp passed for an answer three times as large."""
     planned = plan(rig.settings, design(rig.settings))
     rig.run(SETTLED_S + GROW_S + planned.detection_s + planned.period_s)
-    assert rig.loop._probe.found is ProbeFinding.WHOLE
+    assert rig.view.probe_found is ProbeFinding.WHOLE
     take(rig, target_n)
     rig.run(SETTLED_S + GROW_S + planned.detection_s + planned.period_s)
-    assert isinstance(rig.loop._probe, LoopProbe)
-    assert rig.loop._probe.found is ProbeFinding.WHOLE
-    assert rig.loop._probe._sensors.share == pytest.approx(1.0, abs=0.5)
+    assert rig.view.probe_found is ProbeFinding.WHOLE
+    assert rig.view.probe_share == pytest.approx(1.0, abs=0.5)

@@ -27,7 +27,7 @@ FOREIGN_STEPS = ("commands the drive", "panel", "withdraw", "Look at the signal"
 
 def unplugged(stand: Stand) -> None:
     """The adapter is gone, as the kernel's socket shows it: one receive fails, then every send."""
-    bus, failures = stand.lockstep.loop, [can.CanOperationError("Error receiving: Network is down", 100)]
+    bus, failures = stand.lockstep.bus, [can.CanOperationError("Error receiving: Network is down", 100)]
 
     def receive(_timeout_s: float) -> None:
         if failures:
@@ -36,7 +36,7 @@ def unplugged(stand: Stand) -> None:
     def send(*_: object) -> None:
         raise can.CanOperationError("Failed to transmit: No such device", 19)
 
-    bus.inbox._bus.recv, bus.outbox._bus.send = receive, send  # type: ignore[method-assign,assignment]
+    bus.recv, bus.send = receive, send  # type: ignore[method-assign,assignment]
 
 
 TAKEN_AWAY: dict[str, Callable[[Stand], Any]] = {

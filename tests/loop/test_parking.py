@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.faults import stand
+from hil.faults.in_controller import trip
 from hil.faults.in_device import SPEED, STROKE, both, brake_slips, creeps, reads, stuck
 from hil.faults.in_plant import payload_moves
 from hil.faults.stand import Injector, Stand
@@ -21,11 +22,12 @@ from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import REST_NS
 from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Verb
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.control.trials import Average
 from rigctl.devices import objects
 from tests.builders.branches import Started
+from tests.builders.loop_changes import end_time_of_trial
 
 REST_S = REST_NS * 1e-9
 HELD_MM, HELD_SHARE = 1.0, 0.03  # the promise to whoever relies on a held load
@@ -146,7 +148,7 @@ def test_a_parked_load_that_is_lost_at_once_is_a_fault_until_it_is_reset(parked:
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_a_fault_parks_as_soon_as_the_stroke_stands_still(rig: Lockstep) -> None:
-    rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), rig.clock.now())
+    trip(rig, Action.HOLD)
     for _ in range(round(0.6 * rig.settings.loop.rate_hz)):  # 0.2 s at standstill and the brake's 0.1 s
         if rig.rig.drive.control.stage.braked:
             break
@@ -217,7 +219,7 @@ def test_a_whole_cycle_from_a_parked_hold_and_back(parked: Lockstep) -> None:
 def test_a_hold_while_the_motor_takes_the_load_closes_the_brake_again(parked: Lockstep) -> None:
     first = parked.give(Verb.TENSION)
     parked.run(0.03)
-    assert parked.loop.machine.pending is Verb.TENSION
+    assert parked.view.pending is Verb.TENSION
     assert parked.command(Verb.HOLD) is Refusal.NONE
     parked.run(0.5)
     assert first
@@ -248,7 +250,7 @@ def test_a_sync_lost_while_the_brake_opens_is_a_fault(settings: RigSettings, gai
         rig.give(verb)
         for _ in range(10_000):
             rig.loop.tick()
-            if rig.loop.machine.taking:
+            if rig.view.taking:
                 break
         rig.run(0.02)
         rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == objects.SYNC_COB else (frame,)
@@ -307,11 +309,11 @@ def test_a_trial_has_the_motor_hold_by_name_and_for_a_stated_time(parked: Lockst
 def test_a_trial_beyond_its_time_is_ended_and_the_load_parked(parked: Lockstep) -> None:
     id_ = parked.give(Verb.IDENTIFY, 1.0)
     parked.run(0.5)
-    assert parked.loop.machine.trial is Verb.IDENTIFY
-    parked.loop._orders.powered_until_ns = parked.clock.now()
+    assert parked.view.trial is Verb.IDENTIFY
+    end_time_of_trial(parked)
     parked.run(4.0)
     assert id_
-    assert parked.loop.machine.trial is None
+    assert parked.view.trial is None
     assert parked.rig.drive.control.stage.braked
 
 
@@ -323,11 +325,11 @@ def test_a_measurement_at_rest_waits_for_the_brake_to_have_the_load(rig: Lockste
     rig.run(held_s)
     id_ = rig.give(verb, *([0.0, float("nan")] if verb is Verb.CALIBRATE else []))
     rig.tick()
-    measured = rig.loop._orders.trial
+    measured = rig.view.measurement
     assert isinstance(measured, Average)
     for _ in range(3000):
         assert rig.rig.drive.control.stage.braked or not measured.samples
-        if rig.loop._orders.trial is None:
+        if rig.view.measurement is None:
             break
         rig.tick()
     assert rig.answer(id_) is Refusal.NONE
@@ -336,7 +338,7 @@ def test_a_measurement_at_rest_waits_for_the_brake_to_have_the_load(rig: Lockste
 
 # -- reset -----------------------------------------------------------------------------------------------------------
 def test_a_reset_leads_to_a_parked_hold_and_from_there_on(parked: Lockstep) -> None:
-    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), parked.clock.now())
+    trip(parked, Action.HOLD)
     parked.run(2.0)
     assert parked.command(Verb.RESET) is Refusal.NONE
     assert parked.loop.machine.mode is Mode.HOLD
@@ -348,7 +350,7 @@ def test_a_reset_leads_to_a_parked_hold_and_from_there_on(parked: Lockstep) -> N
 
 @pytest.mark.parametrize("action", [Action.QUICK_STOP, Action.POWER_OFF])
 def test_a_fault_that_took_the_power_off_is_reset_to_disarmed(held: Lockstep, action: Action) -> None:
-    held.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, action), held.clock.now())
+    trip(held, action)
     held.run(2.0)
     assert held.command(Verb.RESET) is Refusal.NONE
     assert held.loop.machine.mode is Mode.DISARMED
@@ -399,7 +401,7 @@ def test_gains_and_targets_of_a_parked_load_move_nothing(parked: Lockstep) -> No
 
 
 def test_a_fault_that_was_disarmed_is_reset_to_disarmed(parked: Lockstep) -> None:
-    parked.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), parked.clock.now())
+    trip(parked, Action.HOLD)
     assert parked.command(Verb.DISARM) is Refusal.NONE
     assert parked.loop.machine.mode is Mode.FAULT
     assert parked.command(Verb.RESET) is Refusal.NONE
@@ -412,7 +414,7 @@ def test_a_drives_own_fault_is_reset_to_disarmed(parked: Lockstep) -> None:
     assert parked.loop.machine.fault in (Fault.DRIVE_FAULT, Fault.DRIVE_EMERGENCY)
     assert parked.command(Verb.RESET) is Refusal.NONE
     assert parked.loop.machine.mode is Mode.DISARMED
-    assert not parked.loop._orders.failed_checks() & Check.DRIVE_FAULT or parked.run(1.0).size
+    assert not parked.view.failed_checks & Check.DRIVE_FAULT or parked.run(1.0).size
 
 
 # -- a rig without a brake ---------------------------------------------------------------------------------------------
@@ -425,6 +427,6 @@ def test_a_rig_that_needs_no_brake_is_held_by_the_motor(settings: RigSettings, g
         stand.enter(rig, Mode.HOLD)
         rig.run(10.0)
         assert held_by(rig) is HeldBy.MOTOR
-        rig.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), rig.clock.now())
+        trip(rig, Action.HOLD)
         rig.run(5.0)
         assert held_by(rig) is HeldBy.MOTOR

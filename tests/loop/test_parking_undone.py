@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from hil.faults import stand
+from hil.faults.in_controller import trip
 from hil.faults.in_device import STROKE, both, brake_slips, reads
 from hil.faults.on_bus import cell, silent
 from hil.faults.stand import Injector, Stand
@@ -18,9 +19,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from tests.builders.branches import Started
+from tests.builders.loop_frames import latched
 
 MOVED_MM = 1.0
 """The promise to whoever relies on a held load."""
@@ -77,8 +79,7 @@ def parks(rig: Lockstep, seconds: float = 3.0) -> float:
 def test_a_brake_that_slips_at_once_gives_the_load_back_with_a_fault(held: Lockstep, slip: Injector) -> None:
     put_in(held, slip)
     assert parks(held) < MOVED_MM
-    machine = held.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.BRAKE_SLIPS, Action.HOLD)
+    assert latched(held) == (Mode.FAULT, Fault.BRAKE_SLIPS, Action.HOLD)
     (text,) = trips(held)
     assert "on the closed brake (limit 0.04 mm) right after it had taken the load, the motor takes it back" in text
     before_mm = held.rig.truth.stroke_mm
@@ -105,7 +106,7 @@ def test_a_brake_delay_longer_than_it_is_does_not_leave_the_load_on_a_slipping_b
         put_in(rig, brake_slips(slip_mm_s))
         assert parks(rig, 6.0) < 0.1 + 0.25 * slip_mm_s
         assert rig.loop.machine.fault is Fault.BRAKE_SLIPS
-        assert rig.loop.observer.snapshot.held_by is HeldBy.MOTOR
+        assert rig.record["held_by"] == HeldBy.MOTOR
 
 
 @pytest.mark.gate("300-300", "60-300")
@@ -116,7 +117,7 @@ def test_a_brake_delay_shorter_than_it_is_does_not_show_a_closed_brake(
     with lockstep(drive_whose(settings, 60, waits_ms=waits_ms, closes_ms=closes_ms), gains) as rig:
         bring(rig)
         shown = []
-        rig.on_advance = lambda: shown.append((rig.loop.observer.snapshot.held_by, rig.rig.drive.brake.closed))
+        rig.on_advance = lambda: shown.append((HeldBy(int(rig.record["held_by"])), rig.rig.drive.brake.closed))
         rig.run(6.0)
         assert (HeldBy.CLOSING, False) in shown
         assert (HeldBy.BRAKE, False) not in shown
@@ -135,7 +136,7 @@ def test_a_motor_that_yields_takes_it_back_on_its_preload(settings: RigSettings,
 
 
 def test_a_fault_whose_parking_slips_stays_latched_and_is_held_by_the_motor(held: Lockstep) -> None:
-    held.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.HOLD), held.clock.now())
+    trip(held, Action.HOLD)
     put_in(held, brake_slips(0.5))
     assert parks(held) < MOVED_MM
     assert held.loop.machine.fault is Fault.LIMIT
@@ -207,6 +208,6 @@ def test_a_drive_that_does_not_come_on_again_ends_with_its_power_off(
     put_in(held, brake_slips(0.3))
     monkeypatch.setattr(held.rig.drive.control, "_enable", lambda _t_ns: None)
     held.run(5.0)
-    assert held.loop.machine.action is Action.POWER_OFF
-    assert held.loop.machine.pending is None
+    assert held.view.action is Action.POWER_OFF
+    assert held.view.pending is None
     assert not held.rig.drive.control.enabled

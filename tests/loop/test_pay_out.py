@@ -80,7 +80,7 @@ def test_a_tight_rope_and_a_length_beyond_the_stroke_are_refused(rig: Lockstep) 
     assert rig.command(Verb.RELEASE) is Refusal.NONE
     rig.run_until(Mode.HOLD, LIMIT_S)
     rig.run(0.5)
-    room_mm = rig.loop.observer.snapshot.stroke_mm - rig.settings.cylinder.stroke_min_mm - STROKE_SPARE_MM
+    room_mm = rig.record["stroke_mm"] - rig.settings.cylinder.stroke_min_mm - STROKE_SPARE_MM
     for length_mm in (-1.0, room_mm + 0.1, math.inf):
         assert rig.command(Verb.RELEASE, length_mm) is Refusal.OUT_OF_RANGE
     assert rig.command(Verb.RELEASE, math.nan) is Refusal.ALREADY, "no length: a ramp to slack"

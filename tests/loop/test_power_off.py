@@ -10,6 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from hil.faults import in_device
+from hil.faults.in_controller import trip
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
@@ -20,9 +21,9 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.observer import CURRENT_NS
 from rigctl.control.power_off import WAIT_NS
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import OFF_STATES, Controlword, DriveState, drive_state
 from rigctl.ipc.record import Flag
 from tests.builders.loop_frames import stop_node, texts
 
@@ -30,11 +31,11 @@ WAIT_S = WAIT_NS * 1e-9
 
 
 def cut(rig: Lockstep, fault: Fault = Fault.DRIVE_NOT_FOLLOWING, action: Action = Action.POWER_OFF) -> None:
-    rig.loop.machine.trip(Trip(fault, 1.0, 0.5, action), rig.clock.now())
+    trip(rig, action, fault)
 
 
 def shown(rig: Lockstep) -> PowerOff:
-    return PowerOff(rig.loop.observer.snapshot.power_off)
+    return PowerOff(int(rig.record["power_off"]))
 
 
 def moves_mm(rig: Lockstep, seconds: float = 2.0) -> float:
@@ -77,7 +78,7 @@ def test_a_tension_at_rest_confirms_it(rig: Lockstep) -> None:
 
 def test_on_a_slack_rope_the_drives_own_state_and_stroke_confirm_it(rig: Lockstep) -> None:
     assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.loop.observer.slack
+    assert rig.view.slack
     cut(rig)
     rig.run(WAIT_S - 1.0)
     assert shown(rig) is PowerOff.STROKE
@@ -90,7 +91,7 @@ def test_a_drive_that_goes_on_is_not_confirmed_whatever_it_reports(rig: Lockstep
     rig.events.read()
     rig.rig.drive.hung = True
     rig.run(1.0 + WAIT_S)
-    assert rig.loop.machine.action >= Action.POWER_OFF
+    assert rig.view.action >= Action.POWER_OFF
     assert not without_power(rig)
     assert shown(rig) is PowerOff.UNCONFIRMED
     (line,) = texts(rig, Kind.POWER_OFF)
@@ -106,9 +107,7 @@ def test_a_load_at_rest_is_no_power_off_while_the_motor_may_carry_it(rig: Lockst
     assert rig.command(Verb.HOLD) is Refusal.NONE
     rig.run(0.2)
     rig.rig.drive.hung = True
-    rig.loop.machine.trip(
-        Trip(Fault.DRIVE_NOT_FOLLOWING, 1.0, 0.5, Action.SILENCE if silent else Action.POWER_OFF), rig.clock.now()
-    )
+    trip(rig, Action.SILENCE if silent else Action.POWER_OFF, Fault.DRIVE_NOT_FOLLOWING)
     for _ in range(round((WAIT_S + 1.0) * rig.settings.loop.rate_hz)):
         rig.tick()
         assert not shown(rig).confirmed
@@ -124,7 +123,7 @@ def test_a_motor_that_carries_is_on_whatever_its_drive_reports(rig: Lockstep) ->
     in_device.lies_off()(Stand(rig, "lies off"))
     disarmed = rig.give(Verb.DISARM)
     records = rig.run(CURRENT_NS * 1e-9)
-    assert rig.loop.observer.snapshot.drive_off  # by its own report
+    assert drive_state(int(records["statusword"][-1])) in OFF_STATES  # by its own report
     assert HeldBy.BRAKE not in records["held_by"]
     assert rig.reply_to(disarmed) is None
     rig.run(1.5)
@@ -176,7 +175,7 @@ def test_a_cell_that_sticks_behind_another_cause_confirms_nothing(rig: Lockstep)
     for _ in range(round((WAIT_S + 1.0) * rig.settings.loop.rate_hz)):
         rig.tick()
         assert not shown(rig).confirmed
-        assert rig.loop.observer.snapshot.load_at_rest not in (LoadAtRest.TENSION, LoadAtRest.BOTH)
+        assert rig.record["load_at_rest"] not in (LoadAtRest.TENSION, LoadAtRest.BOTH)
     assert rig.loop.machine.fault is Fault.DRIVE_NOT_FOLLOWING
 
 
@@ -216,9 +215,9 @@ def test_a_stroke_that_goes_on_is_on_no_brake_before_its_power_is_cut(rig: Locks
     in_device.torque_lost(free=False)(Stand(rig, "shorted"))
     for _ in range(6500):  # what has sunk in the last 5 s is not at rest
         rig.tick()
-        if rig.loop.observer.snapshot.held_by is HeldBy.BRAKE:
+        if rig.record["held_by"] == HeldBy.BRAKE:
             assert not rig.rig.drive.control.stage.powered
-    assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
+    assert rig.record["held_by"] == HeldBy.BRAKE
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
@@ -263,7 +262,7 @@ def test_arming_withdraws_it_with_the_first_word_that_leads_to_power(rig: Lockst
 @pytest.mark.starts_in(Mode.HOLD)
 def test_taking_the_load_back_from_the_brake_withdraws_it(rig: Lockstep) -> None:
     rig.run(4.0)
-    assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
+    assert rig.record["held_by"] == HeldBy.BRAKE
     withdrawn_by(rig, Verb.TENSION)
 
 
@@ -287,10 +286,10 @@ def test_it_is_not_made_again_before_the_brakes_time_after_the_last_such_word(ri
     for _ in range(5_000):
         if rig.rig.drive.control.state is DriveState.READY_TO_SWITCH_ON:
             rig.rig.drive.rpdo_defect = lambda _command: None
-        if rig.loop.outbox.controlword in LEADS_TO_POWER:
+        if rig.record["controlword"] in LEADS_TO_POWER:
             break
         rig.tick()
-    assert rig.loop.machine.taking
+    assert rig.view.taking
     assert rig.command(Verb.HOLD) is Refusal.NONE
     brake_s = rig.settings.cylinder.brake_delay_ms * 1e-3
     assert not shows_off(rig.run(brake_s - 0.01)).any()

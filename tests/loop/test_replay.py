@@ -41,8 +41,7 @@ def recorded(
     recording = settings.recording.model_copy(update={"folder": str(folder / "kept")})
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl")})
     settings = settings.model_copy(update={"recording": recording, "audit": audit})
-    with lockstep(settings, gains, correction=Correction(0.25, 1.001)) as rig:
-        rig.loop._orders.host_checks = int(Check.HOST)
+    with lockstep(settings, gains, correction=Correction(0.25, 1.001), host_checks=int(Check.HOST)) as rig:
         design = {"gains": msgspec.to_builtins(gains)}
         rig.runtime.write_json(ACTIVE, {"settings": settings.model_dump(mode="json"), "design": design})
         rig.runtime.write_json("control.json", rig.report.as_json())
@@ -52,7 +51,7 @@ def recorded(
 
         def tick() -> None:
             ticked()
-            if rig.loop._tick % 500 == 0:
+            if rig.record["tick"] % 500 == 0:
                 writer.poll(rig.clock.now(), time.time_ns(), final=True)
 
         rig.loop.tick = tick  # type: ignore[method-assign]
@@ -103,7 +102,7 @@ def end_with_a_load(rig: Lockstep) -> None:
     rig.hold()
     brake_slips(0.5)(Stand(rig, "replay"))
     rig.run(4.0)
-    assert rig.loop.machine.carries
+    assert rig.view.carries
     rig.loop.stop_requested = True
 
 

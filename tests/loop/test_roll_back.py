@@ -51,7 +51,7 @@ def test_the_offset_stays_while_the_motor_carries_the_load(gains: Gains) -> None
         assert rig.hold() is Refusal.NONE
         assert rig.command(Verb.DISARM) is Refusal.NONE
         rig.run(3.0)
-        assert rig.loop.observer.snapshot.held_by is HeldBy.BRAKE
+        assert rig.record["held_by"] == HeldBy.BRAKE
         assert offset_n(rig) == pytest.approx(300.0, abs=3.0)
 
 

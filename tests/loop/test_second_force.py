@@ -209,7 +209,7 @@ def test_a_load_on_the_brake_can_be_lowered_without_the_second_path(
         stand.park(rig)
         silence_second(rig)
         rig.run(1.0)
-        assert (rig.loop.machine.mode, rig.loop.observer.snapshot.power.braked) == (mode, True)
+        assert (rig.loop.machine.mode, rig.view.braked) == (mode, True)
         before_mm = rig.rig.truth.stroke_mm
         assert rig.command(Verb.RELEASE if mode is Mode.HOLD else Verb.LOWER) is Refusal.NONE
         rig.run(1.0)

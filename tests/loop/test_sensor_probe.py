@@ -44,13 +44,13 @@ class Watched:
         self._steps = [step for fault in faults if (step := fault(Stand(run, "seed")))]
 
     def play(self, seconds: float, after_s: float = 1.0) -> Watched:
-        rate, machine = self.run.settings.loop.rate_hz, self.run.loop.machine
+        rate = self.run.settings.loop.rate_hz
         for tick in range(round(seconds * rate)):
             for step in self._steps:
                 step(tick / rate)
             self.run.loop.tick()
             self.worst_n = max(self.worst_n, abs(self.run.rig.plant.truth.tension_n - 300.0))
-            if machine.mode is Mode.FAULT and not self.tripped_s <= seconds:
+            if self.run.loop.machine.mode is Mode.FAULT and not self.tripped_s <= seconds:
                 self.tripped_s = tick / rate
             if tick / rate > self.tripped_s + after_s:
                 break

@@ -131,7 +131,7 @@ def tight(
         rig.run(1.0)  # the filter settles on the load, so that it does not detect the fault itself
         assert rig.command(Verb.ARM) is Refusal.NONE
         rig.run(0.1)
-        assert rig.loop.observer.snapshot.rejects == 0
+        assert rig.view.rejects == 0
         spoil(rig)
         before, off_n, off_mm, compensated = rig.rig.truth, 0.0, 0.0, False
         assert before.tension_n == pytest.approx(tension_n, abs=5.0)

@@ -12,6 +12,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.devices import objects
+from tests.builders.loop_frames import latched
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 
@@ -35,8 +36,7 @@ def test_a_status_that_has_died_is_a_fault_that_holds(rig: Lockstep) -> None:
     rig.events.read()
     lose_status(rig)
     rig.run(0.3)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault, machine.action) == (Mode.FAULT, Fault.STATUS_STALE, Action.HOLD)
+    assert latched(rig) == (Mode.FAULT, Fault.STATUS_STALE, Action.HOLD)
     (trip,) = [event for event in rig.events.read() if event["kind"] == Kind.TRIP]
     assert trip["limit"] == STATUS_PERIODS * 50e6
     assert rig.rig.drive.control.enabled

@@ -9,6 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from hil.faults import in_device, stand
+from hil.faults.in_controller import trip
 from hil.faults.in_device import SPEED, STROKE, both, creeps, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
@@ -16,10 +17,11 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
 from rigctl.control.tension import Gains
 from tests.builders.branches import Started
+from tests.builders.loop_changes import doubt_stroke
 
 Floats = npt.NDArray[np.float64]
 HELD_MM = 1.0
@@ -111,7 +113,7 @@ def test_a_drive_that_creeps_fast_is_taken_off_power_within_a_millimetre(
         bring(rig, mode)
         moved = moved_mm(rig, creeps(way * speed), FAST[speed])
         assert np.abs(moved).max() < HELD_MM
-        assert rig.loop.machine.action is Action.POWER_OFF
+        assert rig.view.action is Action.POWER_OFF
         assert rig.rig.drive.control.stage.braked
         assert np.ptp(moved[-200:]) == 0.0
 
@@ -126,22 +128,21 @@ def test_a_creep_that_is_corrected_is_told_with_its_speed_once(held: Lockstep) -
 @pytest.mark.study
 def test_a_stroke_that_leaves_its_latch_is_told_once_and_again_once_it_was_back(held: Lockstep) -> None:
     """A position that contradicts its speed switches the correction off; what creeps then is only watched."""
-    held.loop._stroke_hold._doubted = True
+    doubt_stroke(held)
     moved_mm(held, creeps(-0.1), 2.6)
     (text,) = told(held, Kind.STROKE_LEFT)
     assert "HOLD: the stroke is -0.20 mm from where it was latched" in text
-    held.loop._stroke_hold._doubted = False
+    doubt_stroke(held, doubted=False)
     held.run(2.5)
-    held.loop._stroke_hold._doubted = True
+    doubt_stroke(held)
     held.run(2.6)
     assert len(told(held, Kind.STROKE_LEFT)) == 1
 
 
 def test_a_stroke_that_nothing_corrects_is_taken_off_power_as_a_fault_of_its_own(held: Lockstep) -> None:
-    held.loop._stroke_hold._doubted = True
+    doubt_stroke(held)
     moved = moved_mm(held, creeps(0.3), 5.0)
-    machine = held.loop.machine
-    assert (machine.fault, machine.action) == (Fault.STROKE_NOT_HELD, Action.POWER_OFF)
+    assert (held.loop.machine.fault, held.view.action) == (Fault.STROKE_NOT_HELD, Action.POWER_OFF)
     assert SAID_MM < np.abs(moved).max() < HELD_MM
     assert held.rig.drive.control.stage.braked
 
@@ -152,7 +153,7 @@ def test_a_creep_that_is_corrected_for_long_is_held_by_the_brake(held: Lockstep,
     """A drift of the encoder with a cell that has frozen looks the same: the sum of the correction is bounded."""
     moved = moved_mm(held, creeps(creep), 1.2 / abs(creep))
     assert np.abs(moved).max() < STEADY_MM
-    assert (held.loop.machine.fault, held.loop.machine.action) == (Fault.POSITION_DRIFTS, Action.POWER_OFF)
+    assert (held.loop.machine.fault, held.view.action) == (Fault.POSITION_DRIFTS, Action.POWER_OFF)
     assert held.rig.drive.control.stage.braked
 
 
@@ -160,7 +161,7 @@ def test_the_issues_creep_no_longer_ends_at_733_newtons(settings: RigSettings, g
     """+0.45 mm/s, from HOLD and from a TENSION_HIGH whose reaction is hold."""
     with lockstep(settings, gains) as rig:
         bring(rig, Mode.HOLD)
-        rig.loop.machine.trip(Trip(Fault.TENSION_HIGH, 401.0, 400.0), rig.clock.now())
+        trip(rig, Action.HOLD, Fault.TENSION_HIGH)
         moved_mm(rig, creeps(0.45), 10.0)
         assert rig.rig.truth.tension_n < 303.0  # 1 %: 0.3 s without correction while the brake closes
 
@@ -185,11 +186,11 @@ def test_hold_at_speed_is_bumpless_and_is_not_pulled_back(rig: Lockstep, enter: 
 
 @pytest.mark.study
 def test_a_trial_moves_the_stroke_and_it_is_latched_where_it_ends(held: Lockstep) -> None:
-    latched = held.loop._stroke_hold.reference_mm
+    latched = held.view.latched_mm
     assert held.command(Verb.IDENTIFY, 1.0, limit_s=20.0) is Refusal.NONE
     assert Fault.NONE is held.loop.machine.fault
     held.run(1.0)
-    assert held.loop._stroke_hold.reference_mm == pytest.approx(latched, abs=0.05)
+    assert held.view.latched_mm == pytest.approx(latched, abs=0.05)
     assert held.run(0.5)["command_mm_s"].any() is np.False_
 
 
@@ -211,7 +212,7 @@ def test_a_drive_that_creeps_is_off_within_a_millimetre_once_it_is_disarmed(held
     assert held.rig.drive.control.stage.braked
     assert abs(held.rig.truth.stroke_mm - before) < HELD_MM
     assert held.loop.machine.fault in (Fault.STROKE_MOVES, Fault.DRIVE_UNASKED, Fault.STROKE_NOT_HELD)
-    assert held.loop.machine.action is Action.POWER_OFF
+    assert held.view.action is Action.POWER_OFF
 
 
 @pytest.mark.study
@@ -245,21 +246,21 @@ def test_a_position_that_drifts_does_not_take_the_load_along(
         bring(rig, Mode.HOLD)
         moved = moved_mm(rig, both(drifts, reads(SPEED, plus=speed)) if too else drifts, 1.0 / abs(speed) + 1.0)
         assert np.abs(moved).max() < HELD_MM
-        assert rig.loop.machine.action is Action.POWER_OFF
+        assert rig.view.action is Action.POWER_OFF
         assert rig.rig.drive.control.stage.braked
 
 
 def test_a_correction_is_bounded_by_what_a_drive_that_follows_may_need(held: Lockstep) -> None:
     put_in(held, reads(STROKE, plus=0.45))  # below the jump that trips DRIVE_NOT_FOLLOWING
     assert np.abs(held.run(1.0)["command_mm_s"]).max() <= AUTHORITY_MM_S
-    assert abs(held.rig.truth.stroke_mm - held.loop._stroke_hold.reference_mm) < HELD_MM
+    assert abs(held.rig.truth.stroke_mm - held.view.latched_mm) < HELD_MM
 
 
 # -- a reaction that does not help ----------------------------------------------------------------------------------
 def test_a_quick_stop_that_does_not_stop_ends_with_the_power_off(held: Lockstep) -> None:
     put_in(held, creeps(0.3))
     held.run(0.1)
-    held.loop.machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, Action.QUICK_STOP), held.clock.now())
+    trip(held, Action.QUICK_STOP)
     before = held.rig.truth.stroke_mm
     held.run(1.0)
     (text,) = told(held, Kind.ESCALATION)
@@ -280,6 +281,6 @@ def test_a_tension_that_goes_on_rising_is_not_only_held(settings: RigSettings, g
             if rig.loop.machine.fault is not Fault.NONE:
                 break
         rig.run(0.6)
-        assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.TENSION_HIGH, Action.HOLD)
+        assert (rig.loop.machine.fault, rig.view.action) == (Fault.TENSION_HIGH, Action.HOLD)
         assert rig.rig.drive.control.stage.braked, "FAULT ends on the brake at once, whatever the encoder shows"
         assert rig.rig.truth.tension_n < 402.0  # 394 N, and 1 mm on the way to the brake

@@ -65,8 +65,7 @@ def test_another_masters_write_is_a_rival_and_named_with_its_value(
     said(rig)
     write(rig, index, sub, size)
     rig.run(0.003)
-    machine = rig.loop.machine
-    assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.RIVAL)
+    assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.RIVAL)
     words = f"writes node 4 0x{index:04X}:{sub:02X} = 0"
     told = said(rig)
     assert f"another master {words}: find it and stop it" in told
@@ -108,15 +107,14 @@ def test_a_change_that_nobody_heard_is_found_within_a_rotation(rig: Lockstep) ->
         held = rig.rig.drive.device.sdo[index][sub].raw if sub else rig.rig.drive.device.sdo[index].raw
         set_unheard(rig, index, sub)
         rig.run(rotation_s(rig) + 0.02)
-        machine = rig.loop.machine
-        assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.SUPERVISION_LOST)
+        assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.FAULT, Fault.SUPERVISION_LOST)
         rig.run(1.5)
         assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED, "unsupervised, it is not held under power"
         assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
         set_unheard(rig, index, sub, held)
         rig.run(rotation_s(rig) + 0.02)
         assert rig.command(Verb.RESET) is Refusal.NONE
-        if machine.mode is Mode.DISARMED:
+        if rig.loop.machine.mode is Mode.DISARMED:
             rig.run(0.3)
             assert rig.command(Verb.ARM) is Refusal.NONE
 
@@ -128,10 +126,9 @@ def test_a_drive_that_does_not_take_commands_as_it_should_loses_its_power(
 ) -> None:
     set_unheard(rig, index, sub, value)
     rig.run(rotation_s(rig) + 0.5)
-    machine = rig.loop.machine
     # A drive that leaves cyclic synchronous velocity shows it itself (statusword bit 12) before it is read back.
-    assert machine.fault in (Fault.SUPERVISION_LOST, Fault.DRIVE_REFUSES)
-    assert machine.action is Action.POWER_OFF
+    assert rig.loop.machine.fault in (Fault.SUPERVISION_LOST, Fault.DRIVE_REFUSES)
+    assert rig.view.action is Action.POWER_OFF
     assert not rig.rig.drive.control.enabled
 
 
@@ -148,7 +145,7 @@ def test_a_drive_whose_quick_stop_was_changed_is_stopped_by_commands(rig: Lockst
     assert rig.loop.machine.fault is Fault.SUPERVISION_LOST
     before_mm = rig.rig.truth.stroke_mm
     rig.run(1.0)
-    assert rig.loop.machine.action is Action.HOLD
+    assert rig.view.action is Action.HOLD
     assert abs(rig.rig.truth.stroke_mm - before_mm) < 0.6
 
 
@@ -169,7 +166,7 @@ def test_a_server_that_stops_answering_is_lost_armed_and_refuses_an_arm(rig: Loc
     enter(Mode.HOLD)
     rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == silent else (frame,)
     rig.run(2.0)
-    assert (rig.loop.machine.fault, rig.loop.machine.action) == (Fault.SUPERVISION_LOST, Action.HOLD)
+    assert (rig.loop.machine.fault, rig.view.action) == (Fault.SUPERVISION_LOST, Action.HOLD)
 
 
 @pytest.mark.starts_in(Mode.HOLD)

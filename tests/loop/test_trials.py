@@ -106,7 +106,7 @@ def test_no_zero_and_no_scale_beyond_its_bound_is_taken(rig: Lockstep, value: fl
 def test_anything_that_comes_in_between_ends_a_tare(rig: Lockstep, what: str) -> None:
     give(rig, Verb.TARE)
     rig.run(0.3)
-    assert rig.loop.machine.trial is Verb.TARE
+    assert rig.view.trial is Verb.TARE
     verbs = {"hold": Verb.HOLD, "arm": Verb.ARM, "target": Verb.TARGET}
     if what in verbs:
         give(rig, verbs[what], 300.0)
@@ -117,7 +117,7 @@ def test_anything_that_comes_in_between_ends_a_tare(rig: Lockstep, what: str) ->
     else:
         rig.loop.stop_requested = True
     rig.run(0.05)
-    assert rig.loop.machine.trial is None
+    assert rig.view.trial is None
     reply = rig._replies.read()[0]
     assert reply["id"] == 1
     lost = what in ("bad sample", "silence")

@@ -207,8 +207,8 @@ def test_commands_and_answers_are_in_the_dump(kept: Kept) -> None:
 def test_a_dump_of_a_young_loop_comes_out_bit_identical(
     settings: RigSettings, gains: Gains, tmp_path: pathlib.Path
 ) -> None:
-    with lockstep(settings, gains, history_s=settings.telemetry.history_s) as rig:
-        rig.loop._orders.host_checks = int(Check.HOST)  # as the control process begins
+    history_s, begins = settings.telemetry.history_s, int(Check.HOST)  # as the control process does
+    with lockstep(settings, gains, history_s=history_s, host_checks=begins) as rig:
         kept = Kept(rig, tmp_path)
         active = rig.runtime.read_json(ACTIVE)
         rig.runtime.write_json(ACTIVE, {**active, "design": {"gains": msgspec.to_builtins(gains)}})

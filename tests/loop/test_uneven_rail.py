@@ -19,6 +19,7 @@ from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.ipc.record import Quality
+from tests.builders.loop_changes import change_run_out
 from tests.builders.paths import ROOT
 from tests.builders.rig_bench import changed
 
@@ -100,9 +101,7 @@ def test_without_an_encoder_the_record_says_so(rig: Lockstep) -> None:
 def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings), gains) as rig:
         compensate(rig)
-        table = rig.loop.observer._run_out
-        assert table is not None
-        table.slopes_mm_rad[1:-1] = [5.0] * TABLE.bins
+        change_run_out(rig, [5.0] * TABLE.bins)
         assert rig.rig.start_motion()
         assert np.abs(rig.run(6.0)["run_out_mm_s"]).max() > 0.01
 

@@ -319,7 +319,7 @@ def test_a_motor_that_runs_away_from_a_dead_encoder_is_stopped_by_the_tension(sl
     assert slipping.carried(60.0, Witness.CELL) <= SINKS_MM
     before_mm = slipping.stroke_mm
     slipping.put_in(in_device.runs_away(-3.0))
-    slipping.run_until(lambda: slipping.rig.loop.machine.carry_until_ns == 0, 2.0)
+    slipping.run_until(lambda: slipping.rig.view.carry_until_ns == 0, 2.0)
     slipping.run(0.3)
     assert abs(slipping.stroke_mm - before_mm) < 3.0  # 0.5 mm and 0.3 s at 3 mm/s, and the quick stop
 
