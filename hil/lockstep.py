@@ -147,6 +147,7 @@ class Lockstep:
         self._make_loop = make_loop
         self.loop = self._make_loop(last_stroke, kept_brake)
         self.view = LoopView(self.loop)
+        """What no record shows."""
         self._id = 0
         self.on_advance: Callable[[], None] | None = None
         """Called after every period of the rig, whether the loop ticks then or misses it."""
@@ -154,15 +155,8 @@ class Lockstep:
 
     @property
     def record(self) -> Any:
-        """The newest record, by the names of `rigctl.config.signals`.
-
-        Raises:
-            ValueError: the loop has not ticked.
-        """
-        record = self._records.latest()
-        if record is None:
-            raise ValueError("no record: the loop has not ticked")
-        return record
+        """The newest record, by the names of `rigctl.config.signals`; None before the first tick."""
+        return self._records.latest()
 
     def tick(self) -> None:
         """One tick of the loop; one that ended in order to start anew is followed by the next, as by the supervisor."""
