@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import can
 import pytest
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
@@ -40,7 +43,7 @@ def told(rig: Lockstep) -> list[str]:
 def test_a_bus_that_is_silent_while_disarmed_is_on_record_until_a_frame_comes(rig: Lockstep) -> None:
     rig.run(0.5)
     rig.events.read()
-    rig.hub.tap = lambda _sender, _frame: ()
+    on_bus.burst(math.inf)(Stand(rig, "cut"))
     rig.run(2.0)
     assert (rig.loop.machine.mode, rig.loop.machine.fault) == (Mode.DISARMED, Fault.NONE)
     silent = [event for event in rig.events.read() if event["kind"] in (Kind.LIMIT, Kind.LIMIT_OVER)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -9,6 +10,8 @@ from typing import Any
 import msgspec
 import pytest
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.cli import status
@@ -63,7 +66,7 @@ def shown(rig: Lockstep) -> Iterator[Shown]:
 
 def cut(rig: Lockstep, seconds: float) -> None:
     """Drop every frame for a while."""
-    rig.hub.tap = lambda _, __: ()
+    on_bus.burst(math.inf)(Stand(rig, "cut"))
     rig.run(seconds)
     rig.hub.tap = None
     rig.run(0.4)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from hil.faults import stand
+from hil.faults import on_bus, stand
 from hil.faults.in_device import CELL, SPEED, STROKE, both, brake_slips, creeps, reads, stuck
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
@@ -19,7 +19,6 @@ from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
-from rigctl.devices import objects
 
 Floats = npt.NDArray[np.float64]
 MOVED_MM, SHARE = 1.0, 0.03
@@ -42,8 +41,7 @@ def bring(rig: Lockstep, mode: Mode, tension_n: float = 300.0) -> None:
 
 
 def silence_cell(rig: Lockstep) -> None:
-    samples = objects.TPDO1_BASE + rig.settings.tension_cell.node
-    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    on_bus.silent(on_bus.cell)(Stand(rig, "silent"))
 
 
 class Truth:

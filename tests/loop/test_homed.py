@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
+from hil.faults import on_bus
 from hil.faults.in_device import STROKE
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
@@ -130,8 +132,7 @@ def test_a_jump_while_disarmed_refuses_the_arm_even_with_a_waiver(
 
 def test_a_stroke_that_was_moved_while_the_drive_was_silent_is_in_doubt(start: Callable[..., Lockstep]) -> None:
     rig = start(LastStroke())
-    samples = 0x180 + rig.rig.drive.id
-    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    on_bus.silent(on_bus.drive)(Stand(rig, "silent"))
     rig.run(1.0)
     rig.rig.drive.distort(*STROKE, lambda raw: raw + 600)
     rig.hub.tap = None
@@ -140,8 +141,7 @@ def test_a_stroke_that_was_moved_while_the_drive_was_silent_is_in_doubt(start: C
 
 
 def test_no_stroke_is_confirmed_that_the_drive_does_not_say_now(rig: Lockstep) -> None:
-    samples = 0x180 + rig.rig.drive.id
-    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    on_bus.silent(on_bus.drive)(Stand(rig, "silent"))
     rig.run(0.1)
     assert rig.command(Verb.CONFIRM_STROKE, 0.0) is Refusal.STROKE_DIFFERS
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes import io_node
 from hil.nodes.io_node import IoNode
@@ -43,8 +45,7 @@ def node(rig: Lockstep) -> IoNode:
 
 def silence(rig: Lockstep) -> None:
     """Drop the frames of the node's inputs from now on."""
-    inputs = objects.TPDO1_BASE + IO.node
-    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == inputs else (frame,)
+    on_bus.silent(on_bus.io)(Stand(rig, "silent"))
 
 
 def ticks_until_fault(rig: Lockstep, most: int) -> int:
@@ -107,8 +108,7 @@ def test_while_disarmed_it_is_latched_too_and_nobody_arms(rig: Lockstep) -> None
 
 @pytest.mark.starts_in(Mode.COMPENSATING)
 def test_in_fault_under_power_a_press_still_takes_the_drive_to_its_brake(rig: Lockstep) -> None:
-    cell = objects.TPDO1_BASE + rig.settings.tension_cell.node
-    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == cell else (frame,)
+    on_bus.silent(on_bus.cell)(Stand(rig, "silent"))
     rig.run(0.05)
     rig.hub.tap = None
     rig.run(0.2)

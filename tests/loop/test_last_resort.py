@@ -9,7 +9,7 @@ import pytest
 
 from hil.faults import on_bus
 from hil.faults.arming_phases import PHASES, arm_until
-from hil.faults.stand import Stand
+from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
@@ -36,31 +36,14 @@ def can_id(frame: bytes) -> int:
     return int(FRAME.unpack(frame)[0])
 
 
-def sync_lost(rig: Lockstep) -> None:
-    """No device receives SYNC; all other frames pass."""
-    rig.hub.tap = lambda _, frame: () if can_id(frame) == od.SYNC_COB else (frame,)
-
-
-def sync_doubled(rig: Lockstep) -> None:
-    rig.hub.tap = lambda _, frame: (frame, frame) if can_id(frame) == od.SYNC_COB else (frame,)
-
-
-def repeats_first(ident: Callable[[Lockstep], int]) -> Inject:
-    """Frames of an identifier arrive with the content of the first."""
-
+def injected(fault: Injector) -> Inject:
     def inject(rig: Lockstep) -> None:
-        ours, first = ident(rig), list[bytes]()
-
-        def tap(_: object, frame: bytes) -> Iterable[bytes]:
-            if can_id(frame) != ours:
-                return (frame,)
-            if not first:
-                first.append(frame)
-            return (first[0],)
-
-        rig.hub.tap = tap
+        fault(Stand(rig, "command path"))
 
     return inject
+
+
+sync_lost = injected(on_bus.sync_lost())
 
 
 def command_late(ticks: int) -> Inject:
@@ -84,23 +67,14 @@ def command_id(rig: Lockstep) -> int:
     return od.DRIVE_RPDO.cob_base + rig.settings.cylinder.node
 
 
-def status_id(rig: Lockstep) -> int:
-    return od.TPDO1_BASE + rig.settings.cylinder.node
-
-
-def status_lost(rig: Lockstep) -> None:
-    ours = status_id(rig)
-    rig.hub.tap = lambda _, frame: () if can_id(frame) == ours else (frame,)
-
-
 FAULTS: dict[str, Inject] = {
     "sync lost": sync_lost,
-    "sync doubled": sync_doubled,
-    "commands frozen": repeats_first(command_id),
+    "sync doubled": injected(on_bus.sync_twice()),
+    "commands frozen": injected(on_bus.frozen(on_bus.drive, od.DRIVE_RPDO.cob_base)),
     "commands 100 ms late": command_late(100),
     "commands 1 s late": command_late(1000),
-    "samples frozen": repeats_first(status_id),
-    "samples lost": status_lost,
+    "samples frozen": injected(on_bus.frozen(on_bus.drive)),
+    "samples lost": injected(on_bus.silent(on_bus.drive)),
 }
 
 

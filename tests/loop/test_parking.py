@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 import pytest
 
-from hil.faults import stand
+from hil.faults import on_bus, stand
 from hil.faults.in_controller import trip
 from hil.faults.in_device import SPEED, STROKE, both, brake_slips, creeps, reads, stuck
 from hil.faults.in_plant import payload_moves
@@ -127,8 +127,7 @@ def test_an_encoder_that_drifts_does_not_take_the_load_along(held: Lockstep, dri
 @pytest.mark.parametrize("drift", [0.3, pytest.param(-0.3, marks=pytest.mark.long)])
 def test_a_fault_is_held_by_the_brake_whatever_the_encoder_shows(held: Lockstep, drift: float) -> None:
     """FAULT by a silent cell: HOLD's own correction took 300 N to 193 N in 60 s."""
-    samples = objects.TPDO1_BASE + held.settings.tension_cell.node
-    held.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
+    put_in(held, on_bus.silent(on_bus.cell))
     put_in(held, reads(STROKE, drift_s=drift))
     assert stays(held, 15.0)
     assert (held.loop.machine.mode, held.loop.machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
@@ -253,7 +252,7 @@ def test_a_sync_lost_while_the_brake_opens_is_a_fault(settings: RigSettings, gai
             if rig.view.taking:
                 break
         rig.run(0.02)
-        rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == objects.SYNC_COB else (frame,)
+        put_in(rig, on_bus.sync_lost())
         assert stays(rig, 5.0)
         assert rig.loop.machine.mode is Mode.FAULT
 

@@ -9,9 +9,9 @@ from typing import Any, Literal
 
 import pytest
 
-from hil.faults import stand
+from hil.faults import on_bus, stand
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
-from hil.wire import FRAME
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
@@ -19,7 +19,6 @@ from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
-from rigctl.devices.objects import TPDO1_BASE
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, Measured
 from rigctl.ipc.ledger import Standing
@@ -83,9 +82,7 @@ def tared(settings: RigSettings, gains: Gains) -> Iterator[Lockstep]:
 
 def silence_second(rig: Lockstep) -> None:
     """No sample of the second cell comes any more."""
-    assert rig.rig.second_force is not None
-    gone = TPDO1_BASE + rig.rig.second_force.id
-    rig.hub.tap = lambda _, frame: () if FRAME.unpack(frame)[0] == gone else (frame,)
+    on_bus.silent(on_bus.second)(Stand(rig, "silent"))
 
 
 def compensate(rig: Lockstep) -> None:

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from rigctl.cli import status
 from rigctl.control.modes import Mode
@@ -29,7 +33,7 @@ def test_a_cut_bus_is_what_to_do_first_in_eight_lines(
     """It had been some 70 lines: each cause twice, as active and as what follows, and values that are not known."""
     monkeypatch.setenv("COLUMNS", str(COLUMNS))
     shown = Shown(rig)
-    rig.hub.tap = lambda _, __: ()
+    on_bus.burst(math.inf)(Stand(rig, "cut"))
     rig.run(after_s)
     lines = printed(shown, capsys)
     assert all(len(line) <= COLUMNS for line in lines)

@@ -9,6 +9,8 @@ from collections.abc import Callable
 import can
 import pytest
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.hub import Port
 from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
@@ -158,13 +160,13 @@ def test_every_object_that_start_up_verified_is_watched_in_every_device(rig: Loc
 
 
 def test_a_server_that_stops_answering_is_lost_armed_and_refuses_an_arm(rig: Lockstep, enter: Enter) -> None:
-    silent = od.SDO_TX_BASE + rig.rig.drive.id
-    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == silent else (frame,)
+    answers_lost = on_bus.silent(on_bus.drive, od.SDO_TX_BASE)
+    answers_lost(Stand(rig, "silent"))
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert "a device's setting is lost: node 4 0x60A8:00 SI unit position: no answer to 3 requests" in said(rig)[-1]
     rig.hub.tap = None
     enter(Mode.HOLD)
-    rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == silent else (frame,)
+    answers_lost(Stand(rig, "silent"))
     rig.run(2.0)
     assert (rig.loop.machine.fault, rig.view.action) == (Fault.SUPERVISION_LOST, Action.HOLD)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import pathlib
 from collections import Counter
@@ -15,6 +16,8 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+from hil.faults import on_bus
+from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.audit_section import AuditSettings
@@ -95,7 +98,7 @@ def test_a_dump_names_the_part_that_the_running_rig_names(kept: Kept) -> None:
     """Its fault alone is one of many names of a bus that is cut."""
     rig = kept.rig
     rig.run(0.5)
-    rig.hub.tap = lambda _, __: ()
+    on_bus.burst(math.inf)(Stand(rig, "cut"))
     rig.run(2.5)
     kept.poll()
     (file,) = kept.files()
