@@ -115,6 +115,11 @@ class LoopView:
 
     # -- what the safety table looks at --------------------------------------------------------------------------
     @property
+    def taken_up_apart_n(self) -> float:
+        """Rise of the rope's force by the motor's current, less that by the cell."""
+        return self._seen.taken_up_n - self._seen.taken_up_shown_n
+
+    @property
     def e_stop(self) -> int:
         """Inputs on which the emergency stop reads as pressed, bits of `rigctl.control.snapshot.EStop`."""
         return self._seen.e_stop
