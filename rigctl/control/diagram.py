@@ -74,7 +74,8 @@ _PARKED = f"""
 
 IEC 61800-5-2 has the words: SOS (safe operating stop) while the motor holds a stroke, SBC (safe brake control) when the
 brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says which it is; never both. It is derived
-from what the drive reports and from the load, not from what was commanded.
+from what the drive reports and from the load. Of what was commanded it takes two things: the motor is to take the
+load, and an enabled drive is to stay enabled.
 
 | `held_by` | shown as | meaning |
 |---|---|---|

@@ -26,7 +26,7 @@ from rigctl.control.inbox import Inbox
 from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
-from rigctl.control.machine import NOTHING, SLIP_BITS, Change, Machine
+from rigctl.control.machine import NOTHING, SLIP_BITS, Change, Machine, Outcome
 from rigctl.control.modes import Event, HeldBy, Mode, PowerOff, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
@@ -60,6 +60,7 @@ FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which t
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
 _MOVES_BIT = Fault.STROKE_MOVES.bit
+_ENDS_BY_ITSELF = frozenset({Mode.TENSIONING, Mode.RELEASING})
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
@@ -201,7 +202,7 @@ class Loop:
         observer.look_at_control(t_ns, self._commanded_ns, self._travel_from)
 
     def _decide(self, t_ns: int, estimate: Estimate) -> None:
-        machine, snapshot, law, orders = self.machine, self.observer.snapshot, self.law, self._orders
+        machine, snapshot, orders = self.machine, self.observer.snapshot, self._orders
         trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
         self._rope.look(self._watch.standing, snapshot)
         load = machine.fault is not Fault.NONE or not snapshot.drive_enabled  # the brake has it, or may get it
@@ -215,30 +216,48 @@ class Loop:
         if self.stop_requested and not machine.stopping:
             self._end(t_ns)
         orders.prepare(t_ns)
-        if machine.pending is not None and (machine.taking or machine.resetting):
-            fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
-            if machine.follow_drive(
-                snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted, cause_present=cause
-            ):
-                self._tripped = trip = Trip(machine.fault, 1.0, 0.0, machine.action)
-                self._logbook.trip(t_ns, Kind.TRIP, trip)
-            elif machine.fault is Fault.NONE is not fault:
-                orders.acknowledged(fault, t_ns)
-            if machine.drive_wanted:
-                self._stroke_hold.follow()  # the motor took the load from the brake
-                self._held_tension.follow()
+        if machine.pending is not None:
+            self._follow_drive(t_ns, snapshot)
         if machine.disarming:
-            machine.follow_off(t_ns, off=self.observer.snapshot.power.braked)
+            machine.follow_off(t_ns, off=snapshot.power.braked)
         orders.attend(t_ns)
         self._park(t_ns)
-        if machine.mode is Mode.TENSIONING and law.tensioned(estimate):
-            if self._signs.passed:
+        if machine.mode in _ENDS_BY_ITSELF:
+            self._end_mode(estimate)
+        self._take_outcome(estimate)
+
+    def _follow_drive(self, t_ns: int, snapshot: Snapshot) -> None:
+        """Go on with a command that waits for the drive: to be enabled, or to leave its fault state."""
+        machine = self.machine
+        if not (machine.taking or machine.resetting):
+            return
+        fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
+        if machine.follow_drive(
+            snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted, cause_present=cause
+        ):
+            self._tripped = trip = Trip(machine.fault, 1.0, 0.0, machine.action)
+            self._logbook.trip(t_ns, Kind.TRIP, trip)
+        elif machine.fault is Fault.NONE is not fault:
+            self._orders.acknowledged(fault, t_ns)
+        if machine.drive_wanted:
+            self._stroke_hold.follow()  # the motor took the load from the brake
+            self._held_tension.follow()
+
+    def _end_mode(self, estimate: Estimate) -> None:
+        """Take the event that ends TENSIONING or RELEASING."""
+        machine, signs = self.machine, self._signs
+        if machine.mode is Mode.RELEASING:
+            if self._lowered(estimate):
+                machine.on(Event.SLACK)
+        elif self.law.tensioned(estimate):
+            if signs.passed:
                 machine.on(Event.UNTESTED if self.brake.wants_test else Event.TENSIONED)
-            elif not self._signs.probe_mm_s:
-                self._signs.feel(estimate.stroke_mm, self.observer.tension_n)
-        elif machine.mode is Mode.RELEASING and self._lowered(estimate):
-            machine.on(Event.SLACK)
-        done = machine.outcome()
+            elif not signs.probe_mm_s:
+                signs.feel(estimate.stroke_mm, self.observer.tension_n)
+
+    def _take_outcome(self, estimate: Estimate) -> None:
+        """Keep what the machine has done for the record, and begin the modes that it has entered."""
+        done = self.machine.outcome()
         if done is not NOTHING:
             self._done = self._done.then(done)
             self._begin_modes(done.changes, estimate)
@@ -274,12 +293,10 @@ class Loop:
                 self._first_second.begin(self.observer.snapshot)
 
     def _speed(self, estimate: Estimate) -> float:
-        law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
-        free, ticks = (
-            mode is Mode.COMPENSATING and trial is None and law.setpoint_n == law.target_n,
-            1 + self.observer.just_skipped,
-        )
-        added_mm_s = self._probe.speed_mm_s(self.observer.snapshot, law.command_mm_s, ticks, free=free)
+        law, mode, trial, snapshot = self.law, self.machine.mode, self._orders.trial, self.observer.snapshot
+        regulates, ticks = mode is Mode.COMPENSATING, 1 + self.observer.just_skipped
+        free = regulates and trial is None and law.setpoint_n == law.target_n
+        added_mm_s = self._probe.speed_mm_s(snapshot, law.command_mm_s, ticks, free=free)
         if trial is not None and trial.moves:
             added_mm_s = trial.wanted_mm_s
         self._added_mm_s = added_mm_s
@@ -287,25 +304,33 @@ class Loop:
         if self.learning is not None:
             self._learned_mm_s = self._learned(self.learning, mode)
         whole_mm_s = added_mm_s + self._learned_mm_s
-        if not self.observer.snapshot.drive_enabled:
+        if not snapshot.drive_enabled:
             law.follow_speed(0.0)
             law.hold(estimate, self._correction(powered=False))
             speed_mm_s = 0.0
-        elif mode is Mode.TENSIONING:
-            speed_mm_s = law.tensioning(estimate, cosine, self._signs.probe_mm_s, whole_mm_s)
-        elif mode is Mode.COMPENSATING:
-            speed_mm_s, unfiltered_mm_s = law.compensating(estimate, cosine, whole_mm_s), added_mm_s
-        elif mode is Mode.RELEASING:
-            speed_mm_s = self._releasing(estimate, cosine, whole_mm_s)
-        elif mode is Mode.HOLD and trial is not None and trial.moves:
-            speed_mm_s = law.limited(added_mm_s, estimate.stroke_mm)
+        elif regulates:
+            speed_mm_s, unfiltered_mm_s = law.compensating(estimate, self.observer.cosine, whole_mm_s), added_mm_s
         else:
-            powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
-            speed_mm_s = law.hold(estimate, self._correction(powered=powered))
+            speed_mm_s = self._unregulated(estimate, whole_mm_s, added_mm_s)
         self.observer.filter.command(speed_mm_s - unfiltered_mm_s)
         if self._table is not None and mode.moves_stroke:
             self._follow_table(self._table, estimate.stroke_mm)
         return speed_mm_s
+
+    def _unregulated(self, estimate: Estimate, whole_mm_s: float, added_mm_s: float) -> float:
+        """Speed of an enabled drive in the other modes.
+
+        ``added_mm_s``: by a trial or the probe. ``whole_mm_s``: with that by a move that was learnt.
+        """
+        law, mode, cosine, trial = self.law, self.machine.mode, self.observer.cosine, self._orders.trial
+        if mode is Mode.TENSIONING:
+            return law.tensioning(estimate, cosine, self._signs.probe_mm_s, whole_mm_s)
+        if mode is Mode.RELEASING:
+            return self._releasing(estimate, cosine, whole_mm_s)
+        if mode is Mode.HOLD and trial is not None and trial.moves:
+            return law.limited(added_mm_s, estimate.stroke_mm)
+        powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
+        return law.hold(estimate, self._correction(powered=powered))
 
     def _follow_table(self, table: GainTable, stroke_mm: float) -> None:
         """Put the entry of the table for this operating point in force."""
@@ -329,11 +354,7 @@ class Loop:
         if machine.stopping:
             self._finish_stop(t_ns)
         if machine.silent:
-            self.readback.wrote(self.settings.cylinder.node, CONTROLWORD_WRITTEN)
-            outbox.silence(self._clock.now())
-            if machine.starts_anew:
-                self.finished = True
-                self._logbook.event(t_ns, Kind.START_ANEW, machine.fault)
+            self._be_silent(t_ns)
             return
         power = machine.power(t_ns, drive_enabled=snapshot.drive_enabled, drive_faulted=snapshot.drive_faulted)
         unsafe = outbox.safe_frames < SAFE_FRAMES
@@ -353,6 +374,14 @@ class Loop:
         if t_ns >= self._start_again_ns:
             self._start_again(t_ns)
 
+    def _be_silent(self, t_ns: int) -> None:
+        """Leave the drive to its own supervision, until a start anew is accepted."""
+        self.readback.wrote(self.settings.cylinder.node, CONTROLWORD_WRITTEN)
+        self.outbox.silence(self._clock.now())
+        if self.machine.starts_anew:
+            self.finished = True
+            self._logbook.event(t_ns, Kind.START_ANEW, self.machine.fault)
+
     def _start_again(self, t_ns: int) -> None:
         """Repeat NMT start once to the nodes that are not operational, now that they have our heartbeats.
 
@@ -367,11 +396,11 @@ class Loop:
                 self.outbox.start(node)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
-        logbook, machine, observer = self._logbook, self.machine, self.observer
+        logbook, machine = self._logbook, self.machine
         arming = machine.pending is not None or machine.disarming or self.readback.reading_all
         carries = (self.brake.fails or arming or machine.carry_until_ns > 0) and self._carries
         logbook.record(
-            self._tick, t_ns, woke_ns - t_ns, self._work_ns, machine, observer, self.law, self.outbox,
+            self._tick, t_ns, woke_ns - t_ns, self._work_ns, machine, self.observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
             added_mm_s=self._added_mm_s, learned_mm_s=self._learned_mm_s, brake_fails=self.brake.shown,
             arming=arming, stroke_known=self.homed.known, carries=carries, end_s=self._ending.left_s,
@@ -385,6 +414,11 @@ class Loop:
         if done is not NOTHING:
             self._done = NOTHING
             logbook.mode_changes(t_ns, done.changes, self.outbox.safe_frames)
+        self._report(t_ns, done)
+
+    def _report(self, t_ns: int, done: Outcome) -> None:
+        """Write what began and ended in this tick, the answers and what came from the bus."""
+        logbook, skipped = self._logbook, self.observer.just_skipped
         limits, causes = self._watch.reports()
         for limit, begins in limits:
             logbook.trip(t_ns, Kind.LIMIT if begins else Kind.LIMIT_OVER, limit)
@@ -395,8 +429,8 @@ class Loop:
         if done is not NOTHING:
             self._orders.reply(t_ns, done.answers)
         logbook.bus_notices(t_ns, self.inbox.notices(), self.readback.report(), self.inbox, self.outbox)
-        if observer.just_skipped >= SKIP_NOTICE:
-            logbook.notice(t_ns, Kind.CLOCK, observer.just_skipped, 0)
+        if skipped >= SKIP_NOTICE:
+            logbook.notice(t_ns, Kind.CLOCK, skipped, 0)
 
     # -- what the tick is made of -------------------------------------------------------------------------------
     def _moving(self) -> bool:

@@ -89,7 +89,8 @@ class LoopProbe(NoProbe):
         speed_mm_s = multisine.speed_mm_s(snapshot.vertical_error_n, free=free)
         self._judged = False
         if not multisine.whole:
-            sensors.lose()
+            if sensors.sees:
+                sensors.lose()
         else:
             if ticks > 1:
                 sensors.skip()

@@ -82,6 +82,7 @@ class SensorProbe:
         """The multisine is off: whatever was seen of it ends. Only the stiffness found so far is kept."""
         if self.rope.changed:
             self.rope.forget()
+        self.sees = False
         self.found = ProbeFinding.NONE
         self.share = math.nan
         self._seen_whole = [False, False]  # the window under way has been seen from its begin
@@ -106,6 +107,7 @@ class SensorProbe:
             stroke_mm: newest of the drive, likewise.
             command_mm_s: sent in the tick before.
         """
+        self.sees = True
         self._model_mm = model_mm = self._model_mm + self._drive.advance(command_mm_s, 1)
         inside, samples = place % self._block, self._samples
         samples[0, inside, 0], samples[1, inside, 0], samples[2, inside, 0] = tension_n, stroke_mm, model_mm

@@ -6,6 +6,7 @@ import ast
 import collections
 import pathlib
 
+from rigctl.ipc.record import RECORD
 from tests.builders.paths import ROOT
 
 OWN = {
@@ -46,3 +47,13 @@ def test_no_part_of_the_tick_assigns_what_another_part_owns() -> None:
         if names := owners(file):
             found[file.stem] = names
     assert dict(found) == {**OWN, **OUTSIDE}
+
+
+def test_each_signal_of_the_record_is_assigned_once_in_one_function() -> None:
+    places = collections.Counter[str]()
+    for node in ast.walk(ast.parse((ROOT / "rigctl/control/logbook.py").read_text())):
+        if isinstance(node, ast.FunctionDef) and node.name == "record":
+            for one in ast.walk(node):
+                if isinstance(one, ast.Attribute) and isinstance(one.ctx, ast.Store):
+                    places[one.attr] += 1
+    assert places == dict.fromkeys((RECORD.dtype.names or ())[1:], 1)  # the ring counts the first, the slot's number

@@ -1,0 +1,39 @@
+"""What is read as a whole is short: the tick's functions, and the classes of the loop. The ceilings only go down."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+
+from tests.builders.paths import ROOT
+
+CONTROL = ROOT / "rigctl/control"
+FUNCTION = 25
+"""Lines of a function of the tick, but of the constructor, which builds its parts."""
+CLASS = 300
+LONGER = {"Inbox": 440, "Loop": 606, "Machine": 346, "Observer": 362, "Orders": 566}
+"""Classes that are not that short yet."""
+
+
+def lines(node: ast.FunctionDef | ast.ClassDef) -> int:
+    return (node.end_lineno or node.lineno) - node.lineno + 1
+
+
+def classes() -> Iterator[ast.ClassDef]:
+    """Those with behaviour: an enumeration is a table."""
+    for file in CONTROL.glob("*.py"):
+        for node in ast.parse(file.read_text()).body:
+            if isinstance(node, ast.ClassDef) and not any("Enum" in ast.unparse(base) for base in node.bases):
+                yield node
+
+
+def test_a_function_of_the_tick_fits_on_a_screen() -> None:
+    found = ast.walk(ast.parse((CONTROL / "loop.py").read_text()))
+    functions = [node for node in found if isinstance(node, ast.FunctionDef) and node.name != "__init__"]
+    assert {node.name: lines(node) for node in functions if lines(node) > FUNCTION} == {}
+
+
+def test_a_class_of_the_loop_has_one_subject() -> None:
+    sizes = {node.name: lines(node) for node in classes()}
+    assert {name: size for name, size in sizes.items() if size > LONGER.get(name, CLASS)} == {}
+    assert {name for name, most in LONGER.items() if sizes[name] <= CLASS or sizes[name] < most - 10} == set()
