@@ -151,10 +151,7 @@ class Loop:
             logbook.event(started_ns, Kind.FOUND_AT_START, settings.cylinder.node, index << 8, value, left)
         if self.brake.changed:
             self._take_note_of_brake(started_ns)
-        self._orders.host_checks = host_checks
-        if correction is not None:
-            self._orders.overdue = correction.overdue
-            self._orders.correct(correction, started_ns, history=cell_history)
+        self._orders.settings.start(host_checks, correction, cell_history, started_ns)
 
     @property
     def drive_off(self) -> bool:
@@ -334,7 +331,7 @@ class Loop:
 
     def _follow_table(self, table: GainTable, stroke_mm: float) -> None:
         """Put the entry of the table for this operating point in force."""
-        if self._orders.gains_ordered:  # they replace the table
+        if self._orders.settings.gains_ordered:  # they replace the table
             self._table = None
             return
         observer, law = self.observer, self.law

@@ -12,9 +12,8 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety, trials
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
-from rigctl.control.cell_correction import CellHistory
 from rigctl.control.checks import HOST_CHECKS, Check
-from rigctl.control.events import Kind, Unmeasured
+from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
@@ -27,11 +26,11 @@ from rigctl.control.power_seen import STILL_NS
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
+from rigctl.control.settings_in_force import SettingsInForce
 from rigctl.control.situation import Situation, Witness
-from rigctl.control.tension import Gains, TensionLaw
+from rigctl.control.tension import TensionLaw
 from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
-from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 
@@ -60,14 +59,13 @@ _ABOUT_DRIVE = frozenset(
 _MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER})
 """The load moves on purpose: what it sank by the arms before is of no account."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
-MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
 LOOK_NS = 100_000_000  # period of what the displays offer
 
 
 class Orders:
     """Carries out commands and answers them.
 
-    ``trial``: the one under way. ``host_checks``: bits of HOST_CHECKS that fail. ``overdue``: the calibration is.
+    ``trial``: the one under way. ``settings``: what the gateway has put in force.
     ``shown_checks``: bits of the checks that failed when they were last looked at, for the record.
     """
 
@@ -94,10 +92,8 @@ class Orders:
         ``readback``: reads this, and all else that start-up has verified, again before the rig arms.
         """
         self.trial: trials.Trial | None = None
-        self.host_checks = self.shown_checks = 0
-        self.overdue = False
-        self._unmeasured = math.nan  # why there are no margins, as it was last in an event
-        self.gains_ordered = False  # gains have come as an order since the start
+        self.shown_checks = 0
+        self.settings = SettingsInForce(settings, observer, law, logbook)
         self._settings, self._machine, self._observer = settings, machine, observer
         self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
         self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
@@ -279,25 +275,9 @@ class Orders:
             return {}
         return {"taken_s": (t_ns - self._taking[1]) * 1e-9 if math.isnan(self._taken_s) else self._taken_s}
 
-    def correct(
-        self, correction: Correction, t_ns: int, *, held_s: float = math.nan, history: CellHistory | None = None
-    ) -> None:
-        """Put zero, scale and creep of the cell in force; for ``held_s`` and ``history`` see `CellCorrection.put`."""
-        cell, creeps = self._observer.inbox.cell, self._observer.inbox.cell.creeps
-        creep = cell.correction.creep
-        self._observer.correct(correction, held_s=held_s, history=history)
-        self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
-        if correction.second_zero_n is not None:
-            zero_n, scale = correction.second_zero_n, correction.second_scale
-            self._logbook.event(t_ns, Kind.SECOND_FORCE, value=zero_n, limit=scale)
-        if correction.creep != creep and (creeps or cell.creeps):
-            text = creep_text(correction.creep).encode()
-            known = history is not None or not math.isnan(held_s)
-            self._logbook.event(t_ns, Kind.CREEP, int(known), value=creep_share(correction.creep), text=text)
-
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
-        known = Check(self.host_checks) | (Check.CALIBRATION if self.overdue else Check(0))
+        known = Check(self.settings.host_checks) | (Check.CALIBRATION if self.settings.overdue else Check(0))
         if not self._verified_at_start or self._readback.lost:
             known |= Check.DRIVE_SUPERVISION
         snapshot = self._observer.snapshot
@@ -522,101 +502,11 @@ class Orders:
 
     def _set(self, id_: int, setting: Setting, values: _Values, t_ns: int) -> None:
         """Put a setting in force, within its bounds, and reply."""
-        match setting:
-            case Setting.OVERDUE:
-                self.overdue = values["overdue"] != 0.0
-                refusal = Refusal.NONE
-            case Setting.HOST_CHECKS:
-                refusal = self._set_host_checks(values["host_checks"])
-            case Setting.MARGINS:
-                refusal = self._set_margins(t_ns, values["sensitivity_peak"], values["sensitivity_peak_error"])
-            case Setting.DIFFERS:
-                self._logbook.event(
-                    t_ns, Kind.MARGINS_DIFFER, value=values["sensitivity_peak"], limit=values["sensitivity_peak_error"]
-                )
-                refusal = Refusal.NONE
-            case Setting.LAW_GAINS:
-                refusal = self._set_gains(Gains(**values), t_ns)
-            case Setting.CREEP:
-                refusal = self._set_creep(values, t_ns)
-            case _:
-                refusal = self._set_correction(values, t_ns)
+        refusal = self.settings.put(setting, values, t_ns, self._machine)
+        if setting is Setting.HOST_CHECKS:
+            self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.settings.host_checks
         figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
         self._reply(t_ns, id_, refusal, figures=figures)
-
-    def _set_correction(self, values: _Values, t_ns: int) -> Refusal:
-        """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
-        inbox = self._observer.inbox
-        if not self._machine.mode.reading_may_jump or self._machine.stopping:
-            return Refusal.WRONG_MODE
-        if "zero_n" in values and not abs(inbox.reading_n) <= self._settings.tare_limit_n:
-            return Refusal.LOADED
-        now, overdue = inbox.correction, values.get("overdue", math.nan)
-        wanted = replace(now, scale=values.get("scale", now.scale))
-        second_scale, second_zero_n = values.get("second_scale", math.nan), values.get("second_zero_n", math.nan)
-        if not math.isnan(second_scale):
-            wanted = replace(wanted, second_scale=second_scale)
-        if "zero_n" in values:
-            zero_c, zero_n_k = values["zero_c"], values["zero_n_k"]
-            wanted = replace(
-                wanted,
-                zero_n=values["zero_n"],
-                zero_c=None if math.isnan(zero_c) else zero_c,
-                zero_n_k=now.zero_n_k if math.isnan(zero_n_k) else zero_n_k,
-                second_zero_n=now.second_zero_n if math.isnan(second_zero_n) else second_zero_n,
-            )
-        if not wanted.fits(self._settings):
-            return Refusal.OUT_OF_RANGE
-        if not math.isnan(overdue):
-            self.overdue = overdue != 0.0
-        self.correct(wanted, t_ns)
-        return Refusal.NONE
-
-    def _set_creep(self, values: _Values, t_ns: int) -> Refusal:
-        """Put the cell's creep in force, or none; the reading jumps a little, so only in DISARMED or HOLD."""
-        if not self._machine.mode.reading_may_jump or self._machine.stopping:
-            return Refusal.WRONG_MODE
-        terms = (
-            CreepTerm(values["creep_1"], values["creep_1_s"]),
-            CreepTerm(values["creep_2"], values["creep_2_s"]),
-        )
-        wanted = replace(self._observer.inbox.correction, creep=terms if any(term.share for term in terms) else ())
-        if not wanted.fits(self._settings):
-            return Refusal.OUT_OF_RANGE
-        self.correct(wanted, t_ns, held_s=values["creep_held_s"])
-        return Refusal.NONE
-
-    def _set_host_checks(self, bits: float) -> Refusal:
-        """Take the failing bits of the checks that the loop cannot make itself."""
-        known = bits >= 0.0 and bits.is_integer() and not int(bits) & ~int(HOST_CHECKS)
-        self.host_checks = int(bits) if known else int(Check.HOST)
-        self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.host_checks
-        return Refusal.NONE if known else Refusal.OUT_OF_RANGE
-
-    def _set_margins(self, t_ns: int, ms: float, error: float) -> Refusal:
-        """Take the sensitivity peak measured in this COMPENSATING; NaN: there is none, ``error`` says why."""
-        if self._machine.mode is not Mode.COMPENSATING:
-            return Refusal.WRONG_MODE
-        if math.isnan(ms) and error in list(Unmeasured):
-            if error != self._unmeasured:
-                self._logbook.event(t_ns, Kind.NO_MARGINS, int(error))
-            self._unmeasured = error
-            self._observer.take_margins(math.nan, math.nan)
-            return Refusal.NONE
-        if not (1.0 <= ms <= MS_MOST and 0.0 <= error <= MS_MOST):
-            return Refusal.OUT_OF_RANGE
-        self._observer.take_margins(ms, error)
-        self._unmeasured = math.nan
-        return Refusal.NONE
-
-    def _set_gains(self, gains: Gains, t_ns: int) -> Refusal:
-        """Put a set of gains in force, in any mode, bumpless."""
-        if not all(math.isfinite(gain) and gain >= 0.0 for gain in gains.in_order):
-            return Refusal.OUT_OF_RANGE
-        self._law.change_gains(gains)
-        self.gains_ordered = True
-        self._logbook.event(t_ns, Kind.GAINS, text=gains.text)
-        return Refusal.NONE
 
     def _reply(
         self, t_ns: int, id_: int, refusal: Refusal, checks: int = 0, figures: Mapping[str, float] = _NO_FIGURES
