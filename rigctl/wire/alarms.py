@@ -349,7 +349,14 @@ def _as_the_state_says(rows: dict[str, Alarm], known: dict[str, Alarm], state: d
     causes, wall_ns = state.get("causes"), int(state.get("wall_ns") or 0)
     if state.get("mode") is None or not state.get("loop_alive"):
         since = "" if state.get("age_ms") is None else f" for {state['age_ms'] / 1000:.1f} s"
-        remedy = "Run rigctl doctor; look at the daemon's log, and start it anew."
+        waits_for = state.get("waits_for")
+        if waits_for and state.get("mode") is None:  # a start, which says itself what it waits for
+            return rows
+        remedy = (
+            f"A new loop starts, and waits for: {waits_for}."
+            if waits_for
+            else "Run rigctl doctor; look at the daemon's log, and start it anew."
+        )
         loop = Alarm(LOOP_SILENT, Priority.URGENT, f"no record from the loop{since}", remedy, wall_ns, wall_ns)
         return rows | {LOOP_SILENT: loop}
     if not isinstance(causes, list):

@@ -319,6 +319,14 @@ def test_a_silent_loop_is_the_first_alarm(state: dict[str, Any]) -> None:
     assert rows[0].priority is Priority.URGENT
 
 
+def test_a_start_is_no_silent_loop_and_a_loop_that_is_started_again_says_what_it_waits_for() -> None:
+    start = {"mode": None, "loop_alive": False, "age_ms": None, "waits_for": "rings in shared memory"}
+    assert Alarms().rows(start, S) == []
+    (row,) = Alarms().rows(CALM | {"loop_alive": False, "waits_for": "heartbeat of the drive"}, S)
+    assert row.cause == LOOP_SILENT
+    assert row.remedy == "A new loop starts, and waits for: heartbeat of the drive."
+
+
 def test_a_restart_of_the_loop_ends_what_stood() -> None:
     (row,) = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), event(Kind.STARTED, 1)]
                     ).rows(CALM, 2 * S)  # fmt: skip
