@@ -20,18 +20,7 @@ PassTime = Callable[[Callable[[], bool], float], None]
 _GONE = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENOTCONN, errno.EBADF})
 
 
-class _SimulatedBus(can.BusABC):
-    """A simulated wire; a call that does not wait is served without the clock, loop and log of python-can."""
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, as python-can gives it."""
-        if timeout != 0:
-            return super().recv(timeout)
-        message, filtered = self._recv_internal(0)
-        return message if message is None or filtered or self._matches_filters(message) else None
-
-
-class RigSimBus(_SimulatedBus):
+class RigSimBus(can.BusABC):
     """``can.Bus(interface="rigsim", channel=SOCKET)``: a client of ``python -m hil serve``.
 
     Filters work as in the kernel: a refused frame is never seen and does not end a drain; error frames pass.
@@ -71,6 +60,13 @@ class RigSimBus(_SimulatedBus):
         except OSError as error:
             raise self._failure(error) from None
 
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """The next frame, as python-can gives it; a call that does not wait needs none of its clock, loop and log."""
+        if timeout != 0:
+            return super().recv(timeout)
+        message, filtered = self._recv_internal(0)
+        return message if message is None or filtered or self._matches_filters(message) else None
+
     def shutdown(self) -> None:
         """Close the connection."""
         super().shutdown()
@@ -108,7 +104,7 @@ class RigSimBus(_SimulatedBus):
         return can.CanOperationError(f"{self.channel_info}: {reason}", error.errno)
 
 
-class InProcessBus(_SimulatedBus):
+class InProcessBus(can.BusABC):
     """The same wire within one process, for lockstep: a frame has arrived when ``send`` returns.
 
     Receive stamps are the hub's time (s). A ``recv`` with a time-out lets simulated time pass until a frame has come.
@@ -132,19 +128,17 @@ class InProcessBus(_SimulatedBus):
         """The next frame; None: none has come within ``timeout`` seconds of simulated time."""
         if timeout and not self._frames and self._pass_time is not None:
             self._pass_time(lambda: bool(self._frames), timeout)
-        return super().recv(0)
+        if not self._frames:
+            return None
+        now_ns = self._hub.now_ns
+        message = message_of(self._frames.popleft(), now_ns() * 1e-9 if now_ns else 0.0)
+        refused = self._accepted is not None and message.is_extended_id and not self._matches_filters(message)
+        return None if refused else message
 
     def shutdown(self) -> None:
         """Leave the hub."""
         super().shutdown()
         self._hub.detach(self._port)
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:  # noqa: ARG002 - never waits
-        if not self._frames:
-            return None, True
-        now_ns = self._hub.now_ns
-        message = message_of(self._frames.popleft(), now_ns() * 1e-9 if now_ns else 0.0)
-        return message, not (self._accepted and message.is_extended_id)
 
     def _take(self, frame: bytes) -> None:
         if self._accepted is not None and not _accepts(self._accepted, frame):

@@ -11,6 +11,10 @@ Tap = Callable[["Port", bytes], Iterable[bytes]]
 """Maps a frame that a port sends to the frames that go on the wire in its place."""
 
 
+def _unheard(_frame: bytes) -> None:
+    """Of a port that receives nothing."""
+
+
 class Port:
     """One device's connection to the wire."""
 
@@ -21,8 +25,17 @@ class Port:
         self.receive = receive
 
     def send(self, frame: bytes) -> None:
-        """Put a frame on the wire; it reaches every other port."""
-        self.hub.send(self, frame)
+        """Put a frame on the wire; it reaches every other port, after every frame sent before it.
+
+        A tap decides what goes on the wire in its place.
+        """
+        hub = self.hub
+        if hub.tap is None:
+            hub.put(self, frame)
+            return
+        with hub.turn:
+            for passed in hub.tap(self, frame):
+                hub.put(self, passed)
 
 
 class Hub:
@@ -53,19 +66,14 @@ class Hub:
             self._ports = (*self._ports, port)
         return port
 
+    def speaker(self) -> Port:
+        """A new port that only sends."""
+        return Port(self, _unheard)
+
     def detach(self, port: Port) -> None:
         """Take a port off the wire (harmless when it is off already)."""
         with self.turn:
             self._ports = tuple(p for p in self._ports if p is not port)
-
-    def send(self, sender: Port, frame: bytes) -> None:
-        """Deliver ``frame`` to all other ports, after every frame sent before it, as far as a tap lets it."""
-        if self.tap is None:
-            self.put(sender, frame)
-            return
-        with self.turn:
-            for passed in self.tap(sender, frame):
-                self.put(sender, passed)
 
     def put(self, sender: Port, frame: bytes) -> None:
         """Deliver ``frame`` without the tap."""
@@ -76,13 +84,11 @@ class Hub:
             self._delivering = True
             try:
                 while self._waiting:
-                    self._deliver(*self._waiting.popleft())
+                    sender, frame = self._waiting.popleft()
+                    if self.now_ns is not None:
+                        self.log.append((self.now_ns(), frame))
+                    for port in self._ports:
+                        if port is not sender:
+                            port.receive(frame)
             finally:
                 self._delivering = False
-
-    def _deliver(self, sender: Port, frame: bytes) -> None:
-        if self.now_ns is not None:
-            self.log.append((self.now_ns(), frame))
-        for port in self._ports:
-            if port is not sender:
-                port.receive(frame)

@@ -105,7 +105,7 @@ class Lockstep:
         self.hub = Hub(lambda: self.rig_ns)
         port = self.hub.attach(self._to_rig)
         self.rig: SimulatedRig = SimulatedRig(built or settings, self.rig_ns, port.send)
-        self._stranger = self.hub.attach(lambda _frame: None)
+        self._stranger = self.hub.speaker()
         self._keep_log = log
         self.frames: list[tuple[int, bytes]] = self.hub.log
         self.bus = bus = InProcessBus(self.hub, pass_time=self._pass_time)

@@ -100,7 +100,7 @@ class SimulatedRig:
         if self._longest_silence_ns is not None:
             elapsed_ns = min(elapsed_ns, self._longest_silence_ns)
         for node in self.nodes:
-            node.supervise(node.clock.local_ns(t_ns), node.clock.span_ns(elapsed_ns))
+            node.supervise(node.clock.local_ns(t_ns), elapsed_ns)
 
     def hang(self, weight_n: float) -> None:
         """Hang a known weight on the rope, felt by the cell and the second force path; 0 takes it off."""

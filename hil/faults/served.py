@@ -102,7 +102,7 @@ class ServedRig:
     hub: Hub
 
     def __post_init__(self) -> None:
-        self._stranger = self.hub.attach(lambda _frame: None)
+        self._stranger = self.hub.speaker()
 
     def inject(self, frame: bytes) -> None:
         """Put a frame on the bus as a foreign node would."""

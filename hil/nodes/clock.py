@@ -18,7 +18,8 @@ class DeviceClock:
 
     def local_ns(self, t_ns: int) -> int:
         """Device time at the rig's ``t_ns``."""
-        return self._start_ns + self.span_ns(t_ns - self._start_ns)
+        elapsed_ns = t_ns - self._start_ns
+        return t_ns + elapsed_ns * self._ppb // 1_000_000_000
 
     def span_ns(self, elapsed_ns: int) -> int:
         """Device time that passes in ``elapsed_ns`` of the rig's time."""

@@ -284,11 +284,12 @@ class CylinderDrive(Node):
     def supervise(self, t_ns: int, elapsed_ns: int) -> None:
         """Send the heartbeat and check the controller's silence."""
         super().supervise(t_ns, elapsed_ns)
-        if self._heartbeat.runs_out(elapsed_ns):
+        silent_ns = self.clock.span_ns(elapsed_ns)
+        if self._heartbeat.runs_out(silent_ns):
             self._lose_connection(EmcyCode.HEARTBEAT_LOST)
-        if self._commands_due.runs_out(elapsed_ns):
+        if self._commands_due.runs_out(silent_ns):
             self._lose_connection(EmcyCode.RPDO_TIMEOUT)
-        if self._sync_due.runs_out(elapsed_ns):
+        if self._sync_due.runs_out(silent_ns):
             self._lose_connection(EmcyCode.SYNC_LOST)
         if self.errors and not self.control.faulty:
             self._clear_faults()  # 0x6007 demands no fault: the error ends with its cause

@@ -77,7 +77,7 @@ class IoNode(Node):
         if self.without_power:
             return
         super().supervise(t_ns, elapsed_ns)
-        if self._heartbeat.runs_out(elapsed_ns):
+        if self._heartbeat.runs_out(self.clock.span_ns(elapsed_ns)):
             self.raise_error(EmcyCode.HEARTBEAT_LOST, COMMUNICATION_ERROR)
             if self.nmt_state is NmtState.OPERATIONAL and not number(self.device, objects.ERROR_BEHAVIOUR, 1):
                 self._enter(NmtState.PRE_OPERATIONAL)

@@ -194,7 +194,10 @@ class Node:
         self._enter(NmtState.PRE_OPERATIONAL)
 
     def supervise(self, t_ns: int, elapsed_ns: int) -> None:  # noqa: ARG002 - for devices that watch others
-        """Send the heartbeat when it is due. ``elapsed_ns``: time that counts as silence since the last call."""
+        """Send the heartbeat when it is due; ``t_ns`` is on the device's clock.
+
+        ``elapsed_ns``: time on the rig's clock that counts as silence since the last call.
+        """
         if self._boots_ns is not None and t_ns >= self._boots_ns:
             self._boots_ns = None
             self.reset_communication()
@@ -260,7 +263,7 @@ class Node:
         if self.nmt_state is not NmtState.OPERATIONAL or not self._tpdo_places:
             return
         self.on_sample()
-        for tpdo in self.tpdos:
+        for tpdo in self._tpdos or self.tpdos:
             frame = tpdo.frame()
             if frame is not None:
                 self.network.send_frame(frame)
