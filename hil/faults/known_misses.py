@@ -11,10 +11,17 @@ KNOWN_MISSES: Mapping[tuple[str, Mode], Mapping[str, str]] = {
         "brake does not hold in": "a drive without torque reports off 0.3 s before its brake closes, three times as "
         "long as the rig file says; the stroke moves meanwhile, as on a brake that slips",
     },
-    ("cell_frozen_encoder_drifts_down_200_highest", Mode.HOLD): dict.fromkeys(
-        ("held by the brake in", "load at rest in"),
-        "the motor follows an encoder that drifts by 0.2 mm/s, which shows a stroke at rest, as the frozen cell does",
-    ),
+    **{
+        (f"cell_frozen_encoder_drifts_{drift}", Mode.HOLD): dict.fromkeys(
+            ("held by the brake in", "load at rest in"),
+            "the motor follows an encoder that drifts, which shows a stroke at rest, as the frozen cell does",
+        )
+        for drift in ("up_100", "up_400", "down_400", "down_100_stiff", "down_200_highest")
+    },
+    **{
+        ("drive_frozen", mode): {"drive enabled in": "the frozen statusword is that of an enabled drive"}
+        for mode in (Mode.HOLD, Mode.FAULT)
+    },
     **{
         ("cell_noisy", mode): {
             "the load moved at": "three times the stated noise surprises the filter in every tenth sample, and the law "
