@@ -158,7 +158,7 @@ class Check(IntFlag):
         1 << 26,
         "a device sends no heartbeat or is not operational: check its power and cable",
     )
-    # The stroke has moved within the last STILL_NS, see rigctl.control.arming
+    # The stroke has moved within the last STILL_NS, see rigctl.control.power_seen
     NOT_AT_STANDSTILL = (
         1 << 29,
         (

@@ -77,10 +77,8 @@ class Kind(IntEnum):
     HOLD_SOCKET_CLOSED = 66  # a: user, b: process: it sent a descriptor along with a HOLD
     FOUND_AT_START = 121  # a: node, b: index << 8, value: what a former controller left there, limit: as it is now
     START_ANEW = 120  # a: fault acknowledged; the loop ends, the next one starts all devices up
-    SIGNS = (
-        13  # a: 1 it is off and nothing else checks the cell's scale, value: stiffness found in the first tensioning
-    )
-    # in N/mm, limit: the plant's
+    # a: 1 the stiffness is off and nothing else checks the cell's scale
+    SIGNS = 13  # value: stiffness found in the first tensioning in N/mm, limit: the plant's
 
 
 class Unmeasured(IntEnum):

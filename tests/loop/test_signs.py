@@ -84,8 +84,8 @@ def test_a_stiffness_that_is_off_is_a_warning_where_nothing_else_checks_the_cell
         rig.run(3.0)
         events = rig.events.read()
     (found,) = events[events["kind"] == Kind.SIGNS]
-    told = worded(found["kind"], found["a"], found["b"], found["value"], found["limit"], found["text"].decode())
-    assert (told.severity == "warning", "known weight" in told.text) == (warns, warns)
+    event = worded(found["kind"], found["a"], found["b"], found["value"], found["limit"], found["text"].decode())
+    assert (event.severity == "warning", "known weight" in event.text) == (warns, warns)
 
 
 @pytest.mark.starts_in(Mode.HOLD)
