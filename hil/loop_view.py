@@ -25,22 +25,22 @@ class LoopView:
     @property
     def pending(self) -> Verb | None:
         """The accepted command that waits for the drive."""
-        return self._machine.pending
+        return self._machine.sequence.pending
 
     @property
     def awaiting(self) -> bool:
         """It waits for read-back, standstill or brake test; the drive is not commanded on yet."""
-        return self._machine.awaiting
+        return self._machine.sequence.preparing
 
     @property
     def taking(self) -> bool:
         """The drive is commanded on, so that the motor takes the load from the brake."""
-        return self._machine.taking
+        return self._machine.sequence.taking
 
     @property
     def trial(self) -> Verb | None:
         """The trial under way."""
-        return self._machine.trial
+        return self._machine.sequence.trial
 
     @property
     def measurement(self) -> Trial | None:
@@ -56,32 +56,32 @@ class LoopView:
     @property
     def action(self) -> Action:
         """Reaction to the latched fault."""
-        return self._machine.action
+        return self._machine.sequence.action
 
     @property
     def armed(self) -> bool:
         """By ARM, and neither disarmed nor taken off power since."""
-        return self._machine.armed
+        return self._machine.sequence.armed
 
     @property
     def drive_wanted(self) -> bool:
         """The motor has the load, so the drive has to be enabled."""
-        return self._machine.drive_wanted
+        return self._machine.sequence.motor
 
     @property
     def carries(self) -> bool:
         """The motor carries or lowers a load that the brake does not hold, or is being switched on to."""
-        return self._machine.carries
+        return self._machine.sequence.carries
 
     @property
     def carry_until_ns(self) -> int:
         """When the motor begins to lower such a load; 0: it has none."""
-        return self._machine.carry_until_ns
+        return self._machine.sequence.carry_until_ns
 
     @property
     def starts_anew(self) -> bool:
         """The loop ends, so that start-up brings all devices up again."""
-        return self._machine.starts_anew
+        return self._machine.sequence.anew
 
     @property
     def braked(self) -> bool:

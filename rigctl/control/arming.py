@@ -8,10 +8,10 @@ from a closing brake back to OPERATION ENABLED, and then neither motor nor brake
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rigctl.config.settings import RigSettings
 from rigctl.control.checks import Check
 from rigctl.control.power_seen import STILL_NS
 from rigctl.control.snapshot import Snapshot
@@ -64,62 +64,57 @@ class ArmingStep(Enum):
     SLIPPED = auto()  # the brake test has failed
 
 
-class Sequence:
-    """From an accepted command to the drive's power: the rows of `AWAITED`, then the test of an ARM or BRAKE_TEST.
+@dataclass(frozen=True, slots=True)
+class Preparation:
+    """Of an accepted command, before the drive's power: the rows of `AWAITED`, then the test by ARM or BRAKE_TEST.
 
-    ``moved_mm`` and ``tension_n``: motion of the stroke and tension on the brake in the last test. ``tested``: True the
-    brake has held, False the rope was too slack to test it, None no test.
+    ``moved_mm`` and ``tension_n``: motion of the stroke and tension on the brake in the test. ``tested``: True the
+    brake has held, False the rope was too slack to test it, None no test. ``tests``: it is still to be made, or is.
     """
 
-    def __init__(self, settings: RigSettings) -> None:
-        self._settings = settings
-        self._until_ns = self._test_ns = 0
-        self._anchor_mm: float | None = None
-        self._over = False
-        self._lasts_ns = BRAKE_TEST_NS
-        self._awaited = AWAITED_CHECKS
-        self.moved_mm = self.tension_n = 0.0
-        self.tested: bool | None = None
+    until_ns: int = 0
+    tests: bool = False
+    lasts_ns: int = BRAKE_TEST_NS
+    awaited: Check = AWAITED_CHECKS
+    anchor_mm: float | None = None
+    from_ns: int = 0
+    moved_mm: float = 0.0
+    tension_n: float = 0.0
+    tested: bool | None = None
 
-    def begin(self, t_ns: int, *, tests: bool, at_rest: bool = True, longer: bool = False) -> None:
-        """A command has been accepted. Only one that ``tests`` the brake does: a load that it holds is a test already.
 
-        ``at_rest``: the stroke has to stand still first, as it does unless the brake slips. ``longer``: the test is
-        made on every rig, and is longer.
-        """
-        self._lasts_ns = LONG_TEST_NS if longer else BRAKE_TEST_NS
-        self._awaited = AWAITED_CHECKS if at_rest else Check.SEQUENCE_RUNNING
-        self._until_ns = t_ns + AWAIT_NS
-        self._anchor_mm, self.tested = None, None
-        self._over = not (tests and (longer or self._settings.cylinder.brake_test))
+NOT_PREPARED = Preparation()
 
-    def note_slip(self, moved_mm: float) -> None:
-        """The load has moved by so much on the closed brake, before the test under way began."""
-        self.moved_mm = moved_mm
 
-    def step(self, t_ns: int, snapshot: Snapshot, *, slack: bool) -> ArmingStep:
-        """One tick; READY lets the drive be switched on."""
-        if self._anchor_mm is not None and not self._over:
-            return self._test(t_ns, snapshot)
-        if awaited(snapshot) & self._awaited:
-            return ArmingStep.LATE if t_ns >= self._until_ns else ArmingStep.WAIT
-        if self._over:
-            return ArmingStep.READY
-        self.tension_n, self.moved_mm = snapshot.tension_n, 0.0
-        if slack:
-            self.tested, self._over = False, True
-            return ArmingStep.READY
-        self._anchor_mm, self._test_ns = snapshot.stroke_mm, t_ns
-        return ArmingStep.WAIT
+def begin(t_ns: int, *, tests: bool, at_rest: bool = True, longer: bool = False) -> Preparation:
+    """A command has been accepted. Only one that ``tests`` the brake does: a load that it holds is a test already.
 
-    def _test(self, t_ns: int, snapshot: Snapshot) -> ArmingStep:
-        """The closed brake carries the load and the motor has no power, so the stroke must not move."""
-        assert self._anchor_mm is not None
-        self.moved_mm = snapshot.stroke_mm - self._anchor_mm
-        if not abs(self.moved_mm) <= BRAKE_TEST_MM:
-            self._over = True
-            return ArmingStep.SLIPPED
-        if t_ns - self._test_ns >= self._lasts_ns:
-            self.tested, self._over = True, True
-            self._until_ns = t_ns + AWAIT_NS
-        return ArmingStep.WAIT
+    ``at_rest``: the stroke has to be at rest first, as it is unless the brake slips. ``longer``: of a brake that is
+    known not to hold, or by BRAKE_TEST.
+    """
+    awaits = AWAITED_CHECKS if at_rest else Check.SEQUENCE_RUNNING
+    return Preparation(t_ns + AWAIT_NS, tests, LONG_TEST_NS if longer else BRAKE_TEST_NS, awaits)
+
+
+def prepare(at: Preparation, t_ns: int, snapshot: Snapshot, *, slack: bool) -> tuple[Preparation, ArmingStep]:
+    """One tick; READY lets the drive be switched on."""
+    if at.anchor_mm is not None and at.tests:
+        return _test(at, at.anchor_mm, t_ns, snapshot)
+    if awaited(snapshot) & at.awaited:
+        return at, ArmingStep.LATE if t_ns >= at.until_ns else ArmingStep.WAIT
+    if not at.tests:
+        return at, ArmingStep.READY
+    at = replace(at, tension_n=snapshot.tension_n, moved_mm=0.0)
+    if slack:
+        return replace(at, tested=False, tests=False), ArmingStep.READY
+    return replace(at, anchor_mm=snapshot.stroke_mm, from_ns=t_ns), ArmingStep.WAIT
+
+
+def _test(at: Preparation, anchor_mm: float, t_ns: int, snapshot: Snapshot) -> tuple[Preparation, ArmingStep]:
+    """The closed brake carries the load and the motor has no power, so the stroke must not move."""
+    at = replace(at, moved_mm=snapshot.stroke_mm - anchor_mm)
+    if not abs(at.moved_mm) <= BRAKE_TEST_MM:
+        return replace(at, tests=False), ArmingStep.SLIPPED
+    if t_ns - at.from_ns >= at.lasts_ns:
+        at = replace(at, tested=True, tests=False, until_ns=t_ns + AWAIT_NS)
+    return at, ArmingStep.WAIT

@@ -237,7 +237,7 @@ def run(directory: str) -> int:
     except OSError as error:
         _say(f"WARNING: control.json cannot be written: {error.strerror}; what the loop found is not shown")
     loop.run()
-    anew = loop.machine.starts_anew
+    anew = loop.machine.sequence.anew
     if loop.drive_off and not anew:  # else the drive keeps its supervision, which stops it
         bus.set_filters(None)
         startup.release(bus, settings, clock.now)

@@ -13,13 +13,14 @@ from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.faults import Trait, having
 from rigctl.control.loop import SAFE_FRAMES
-from rigctl.control.machine import ARM_LIMIT_NS, LOWERED_NS
-from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Verb, decide
+from rigctl.control.machine import LOWERED_NS
+from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Refusal, Verb, decide
 from rigctl.control.orders import RECHECK_NS
 from rigctl.control.parking import REST_NS, UNDO_MM
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS, UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
 from rigctl.control.situation import Situation
+from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 
@@ -69,13 +70,34 @@ _ACTIONS = {
     Action.SILENCE: "power off by SDO and NMT stop to the drive, then neither command nor heartbeat: its own "
     "supervision stops it; `reset` starts all devices up again",
 }
+_STAGES = """
+## Drive, brake and load
+
+One machine, whatever the mode, in the words of IEC 61800-5-2: STO (safe torque off), SS1 (safe stop 1), SOS (safe
+operating stop), SBC (safe brake control) and SBT (safe brake test). A command that needs the motor waits in PREPARE,
+ENABLE or RESET; where it is refused or aborted, the stage is again the one before. Only ENABLE switches a drive on.
+"""
+_ROWS_HEAD = """
+What ends the wait of a command, and the motor's hold, in order:
+
+| stage | when | then | answer |
+|---|---|---|---|
+"""
+_HOLDS = {
+    DriveStage.OFF: "the brake",
+    DriveStage.STOP: "the motor, then the brake",
+    DriveStage.RUN: "the motor",
+    DriveStage.QUICK: "the motor, then the brake",
+    DriveStage.CUT: "the brake, once it has closed",
+    DriveStage.SILENT: "the drive's own supervision: the motor, then the brake",
+    DriveStage.PREPARE: "the brake",
+    DriveStage.ENABLE: "the brake, then the motor",
+    DriveStage.RESET: "as before",
+}
 _PARKED = f"""
 ## What holds the load
 
-IEC 61800-5-2 has the words: SOS (safe operating stop) while the motor holds a stroke, SBC (safe brake control) when the
-brake has taken it, SBT (safe brake test) at arming. The record's `held_by` says which it is; never both. It is derived
-from what the drive reports and from the load. Of what was commanded it takes two things: the motor is to take the
-load, and an enabled drive is to stay enabled.
+The record's `held_by` is made of the stage, of what the drive reports, and of the load.
 
 | `held_by` | shown as | meaning |
 |---|---|---|
@@ -221,7 +243,33 @@ def document() -> str:
     parts += ["", "## Actions of the safety table, the weakest first", ""]
     parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
     steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
-    return "\n".join(parts) + "\n" + _PARKED + _HELD + _ESCALATION + "\n".join(steps) + "\n"
+    return "\n".join(parts) + "\n" + _stages() + _PARKED + _HELD + _ESCALATION + "\n".join(steps) + "\n"
+
+
+def _stages() -> str:
+    """The machine of drive, brake and load: its picture and both its tables."""
+    arrows: dict[tuple[DriveStage, DriveStage], list[str]] = {}
+    for (stage, input_), after in STAGES.items():
+        arrows.setdefault((stage, after), []).append(input_.value)
+    parts = [_STAGES, "```mermaid", "stateDiagram-v2", f"    [*] --> {Sequence().stage.name}"]
+    parts += [
+        f"    {one.name} --> {to.name}: {', or '.join(why).replace('`', '')}" for (one, to), why in arrows.items()
+    ]
+    parts += ["```", "", "| stage | meaning | the load is held by |", "|---|---|---|"]
+    parts += [f"| {stage.name} | {stage.value} | {_HOLDS[stage]} |" for stage in DriveStage]
+    rows = [f"| {row.stage.name} | {row.words} | {_leads_to(row)} | {_answer(row.answer)} |" for row in ROWS]
+    return "\n".join(parts) + "\n" + _ROWS_HEAD + "\n".join(rows) + "\n"
+
+
+def _leads_to(row: StageRow) -> str:
+    after = STAGES.get((row.stage, row.input))
+    return after.name if after is not None else row.stage.name if row.answer is None else "the stage before"
+
+
+def _answer(refusal: Refusal | None) -> str:
+    if refusal is None:
+        return "-"
+    return "carried out" if refusal is Refusal.NONE else f"`{refusal.name.lower()}`"
 
 
 def _next(action: Action | None) -> str:

@@ -15,11 +15,11 @@ from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
 from rigctl.control.faults import Fault, Trait, faults_of
 from rigctl.control.homed import TOLERANCE_MM
-from rigctl.control.machine import OFF_LIMIT_NS
 from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import LINGERS, MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
+from rigctl.control.stage import OFF_LIMIT_NS
 from rigctl.devices import can_errors, emergency
 from rigctl.devices.objects import STATUSWORD, DriveState
 from rigctl.ipc.record import NEVER_AGE_NS

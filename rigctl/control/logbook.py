@@ -95,7 +95,7 @@ class Logbook:
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal
         flags = law.limits | (_ENABLED if snapshot.drive_enabled else 0) | (_ARMING if arming else 0)
         flags |= (0 if stroke_known else _UNCONFIRMED) | (_BRAKE_FAILS if brake_fails else 0)
-        flags |= (_STOPPING if machine.stopping else 0) | (_OFF if observer.shown_off else 0)
+        flags |= (_STOPPING if machine.sequence.ends else 0) | (_OFF if observer.shown_off else 0)
         flags |= _CARRIES if carries else 0
         values = self._values
         values.t_ns = t_ns

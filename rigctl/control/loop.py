@@ -42,6 +42,7 @@ from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.stage import NOT_LEFT, TickSeen
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import LeftInDrive, Power, next_controlword
@@ -100,7 +101,7 @@ class Loop:
         users; None: there are none.
         """
         self.settings = settings
-        self.machine = Machine(stopping_ns(settings))
+        self.machine = Machine(stopping_ns(settings), brake_test=settings.cylinder.brake_test)
         self._commanded_ns = started_ns = clock.now()
         self.readback = Readback(watched, settings, started_ns)
         self.homed = Homed(settings.cylinder, last_stroke)
@@ -143,7 +144,7 @@ class Loop:
             self.learning, self._holds, self.brake, self._carried, self._rope,
             supervised=supervised,
         )  # fmt: skip
-        self._work_ns = self._stop_until = self._off_until = self._start_again_ns = 0
+        self._work_ns = self._off_until = self._start_again_ns = 0
         self._failing = self._tick = 0  # ticks in a row that ended in an exception; the tick's number
         self._added_mm_s = self._learned_mm_s = 0.0  # to the law's command: by trial or probe; by a move learned
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
@@ -210,12 +211,12 @@ class Loop:
             self._logbook.trip(t_ns, Kind.TRIP, trip)
         self._escalate(t_ns)
         self._take_orders(t_ns)
-        if self.stop_requested and not machine.stopping:
+        if self.stop_requested and not machine.sequence.ends:
             self._end(t_ns)
         orders.prepare(t_ns)
-        if machine.pending is not None:
+        if machine.sequence.pending is not None:
             self._follow_drive(t_ns, snapshot)
-        if machine.disarming:
+        if machine.sequence.disarming or snapshot.power.braked is not machine.sequence.off:
             machine.follow_off(t_ns, off=snapshot.power.braked)
         orders.attend(t_ns)
         self._park(t_ns)
@@ -226,17 +227,17 @@ class Loop:
     def _follow_drive(self, t_ns: int, snapshot: Snapshot) -> None:
         """Go on with a command that waits for the drive: to be enabled, or to leave its fault state."""
         machine = self.machine
-        if not (machine.taking or machine.resetting):
+        if not (machine.sequence.taking or machine.sequence.resetting):
             return
-        fault, cause = machine.fault, machine.resetting and self._watch.present(snapshot) is not Fault.NONE
-        if machine.follow_drive(
-            snapshot.drive_enabled, t_ns, drive_faulted=snapshot.drive_faulted, cause_present=cause
-        ):
-            self._tripped = trip = Trip(machine.fault, 1.0, 0.0, machine.action)
+        fault, cause = machine.fault, machine.sequence.resetting and self._watch.present(snapshot) is not Fault.NONE
+        latched = machine.mode is Mode.FAULT
+        seen = TickSeen(t_ns, snapshot.drive_enabled, snapshot.drive_faulted, cause=cause, latched=latched)
+        if machine.follow(seen) is NOT_LEFT:
+            self._tripped = trip = Trip(machine.fault, 1.0, 0.0, machine.sequence.action)
             self._logbook.trip(t_ns, Kind.TRIP, trip)
         elif machine.fault is Fault.NONE is not fault:
             self._orders.acknowledged(fault, t_ns)
-        if machine.drive_wanted:
+        if machine.sequence.motor:
             self._stroke_hold.follow()  # the motor took the load from the brake
             self._held_tension.follow()
 
@@ -286,7 +287,7 @@ class Loop:
             for slot in self._commands.read(COMMANDS_PER_TICK):
                 if self._orders.take(slot, t_ns):
                     self._commanded_ns = t_ns
-            if self.machine.pending is Verb.BRAKE_TEST and self.observer.snapshot.drive_enabled:
+            if self.machine.sequence.pending is Verb.BRAKE_TEST and self.observer.snapshot.drive_enabled:
                 self._first_second.begin(self.observer.snapshot)
 
     def _speed(self, estimate: Estimate) -> float:
@@ -326,7 +327,7 @@ class Loop:
             return self._releasing(estimate, cosine, whole_mm_s)
         if mode is Mode.HOLD and trial is not None and trial.moves:
             return law.limited(added_mm_s, estimate.stroke_mm)
-        powered = self.machine.drive_wanted and (self._carried.corrects or not self._on_motor)
+        powered = self.machine.sequence.motor and (self._carried.corrects or not self._on_motor)
         return law.hold(estimate, self._correction(powered=powered))
 
     def _follow_table(self, table: GainTable, stroke_mm: float) -> None:
@@ -348,9 +349,9 @@ class Loop:
 
     def _send(self, t_ns: int, speed_mm_s: float) -> None:
         machine, snapshot, outbox = self.machine, self.observer.snapshot, self.outbox
-        if machine.stopping:
+        if machine.sequence.ends:
             self._finish_stop(t_ns)
-        if machine.silent:
+        if machine.sequence.silent:
             self._be_silent(t_ns)
             return
         power = machine.power(t_ns, drive_enabled=snapshot.drive_enabled, drive_faulted=snapshot.drive_faulted)
@@ -375,7 +376,7 @@ class Loop:
         """Leave the drive to its own supervision, until a start anew is accepted."""
         self.readback.wrote(self.settings.cylinder.node, CONTROLWORD_WRITTEN)
         self.outbox.silence(self._clock.now())
-        if self.machine.starts_anew:
+        if self.machine.sequence.anew:
             self.finished = True
             self._logbook.event(t_ns, Kind.START_ANEW, self.machine.fault)
 
@@ -394,8 +395,8 @@ class Loop:
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine = self._logbook, self.machine
-        arming = machine.pending is not None or machine.disarming or self.readback.reading_all
-        carries = (self.brake.fails or arming or machine.carry_until_ns > 0) and self._carries
+        arming = machine.sequence.pending is not None or machine.sequence.disarming or self.readback.reading_all
+        carries = (self.brake.fails or arming or machine.sequence.carry_until_ns > 0) and self._carries
         logbook.record(
             self._tick, t_ns, woke_ns - t_ns, self._work_ns, machine, self.observer, self.law, self.outbox,
             self._commands.cursor, self._watch.standing, self._orders.shown_checks,
@@ -454,8 +455,10 @@ class Loop:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
             self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, int(self.brake.fails), value=since_s)
         if snapshot.held_by is not before and not machine.mode.moves_stroke:
-            text = (machine.trial or machine.pending or machine.mode).name.encode()
-            until_ns = self._orders.powered_until_ns if machine.trial is not None else machine.carry_until_ns
+            text = (machine.sequence.trial or machine.sequence.pending or machine.mode).name.encode()
+            until_ns = (
+                self._orders.powered_until_ns if machine.sequence.trial is not None else machine.sequence.carry_until_ns
+            )
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
         braked = self.observer.snapshot.power.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE
@@ -467,17 +470,18 @@ class Loop:
 
     def _park(self, t_ns: int) -> None:
         """Let the brake take a load that the motor has held for long enough, or lower it where the brake slips."""
-        machine, trial = self.machine, self._orders.trial
-        until_ns = self._orders.powered_until_ns if trial is not None else machine.carry_until_ns
+        machine, trial, at, snapshot = self.machine, self._orders.trial, self.machine.sequence, self.observer.snapshot
+        if machine.mode is Mode.FAULT and at.carry_until_ns:
+            # For a brake that is known not to hold the motor goes on whatever else is wrong, see `_trip_of_carried`.
+            other = self._watch.standing & ~SLIP_BITS and not self._on_motor
+            machine.follow(TickSeen(t_ns, gone=bool(other) or not snapshot.drive_enabled))
+            return
+        until_ns = self._orders.powered_until_ns if trial is not None else at.carry_until_ns
         measures = trial is not None and not trial.power_s
-        powered = machine.drive_wanted and not (machine.stopping or self._ending.delayed)
-        if machine.mode is Mode.FAULT and machine.carry_until_ns:
-            self._carry_on(t_ns)
-        elif self._parking.due(
-            t_ns, machine.mode, self.observer.snapshot, powered=powered, until_ns=until_ns, measures=measures
-        ):
-            machine.park(went_off=not self.observer.snapshot.drive_enabled)
-            self._first_second.begin(self.observer.snapshot)
+        powered = at.motor and not (at.ends or self._ending.delayed)
+        if self._parking.due(t_ns, machine.mode, snapshot, powered=powered, until_ns=until_ns, measures=measures):
+            machine.follow(TickSeen(t_ns, snapshot.drive_enabled, due=True))
+            self._first_second.begin(snapshot)
 
     def _undo_parking(self, t_ns: int) -> None:
         """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong."""
@@ -491,7 +495,6 @@ class Loop:
         if self.machine.undo_parking(trip, t_ns):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
-            self._orders.note_slip(first.sank_mm)
             self.brake.set(f"it has slipped by {first.sank_mm:.2f} mm right after a parking")
             self._carried.begin(Witness.BOTH, self._watch.standing, self.observer.snapshot)
         first.end()
@@ -520,7 +523,7 @@ class Loop:
             return Trip(
                 Fault.DRIVE_NOT_FOLLOWING, carried.strayed_mm, FOLLOWS_MM, Action.QUICK_STOP, WITNESS_TEXT
             )  # fmt: skip
-        off = self.machine.drive_wanted and not snapshot.drive_enabled  # nothing carries any more
+        off = self.machine.sequence.motor and not snapshot.drive_enabled  # nothing carries any more
         heeded = standing if off else carried.heeded(standing)
         found = self._watch.strongest(snapshot, heeded) if heeded else None
         return found and replace(found, action=max(found.action, Action.QUICK_STOP))
@@ -543,19 +546,7 @@ class Loop:
     @property
     def _on_motor(self) -> bool:
         """The motor alone can hold the load: it carries for a brake that does not, or by a witness that is named."""
-        return self.machine.carries and (self.brake.fails or self._carried.named is not Witness.BOTH)
-
-    def _carry_on(self, t_ns: int) -> None:
-        """The motor carries while nothing but the slip is wrong; when its time is over, it lowers the load.
-
-        For a brake that is known not to hold it does so whatever else is wrong, see `_trip_of_carried`.
-        """
-        machine = self.machine
-        ended = self._watch.standing & ~SLIP_BITS and not self._on_motor
-        if ended or not self.observer.snapshot.drive_enabled:
-            machine.park()
-        elif t_ns >= machine.carry_until_ns:
-            machine.lower(t_ns)
+        return self.machine.sequence.carries and (self.brake.fails or self._carried.named is not Witness.BOTH)
 
     def _watch_stroke(self, now_ns: int) -> None:
         """Latch the stroke where the mode keeps it, and write an event when it leaves the latch."""
@@ -572,7 +563,9 @@ class Loop:
         else:
             latched = math.isfinite(hold.reference_mm)
             self._held_tension.watch(snapshot, 1 + self.observer.just_skipped, latched=latched)
-            if machine.mode is Mode.DISARMED and not machine.taking:  # hands have lifted it off the brake: no loss
+            if (
+                machine.mode is Mode.DISARMED and not machine.sequence.taking
+            ):  # hands have lifted it off the brake: no loss
                 self._held_tension.forget_loss()
 
     def _correction(self, *, powered: bool) -> float:
@@ -588,8 +581,8 @@ class Loop:
         machine, slack = self.machine, self.observer.slack
         if machine.fault is not Fault.NONE and self._on_motor:  # what ends that is decided by `_trip_of_carried`
             return
-        over = machine.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
-        action = Action.HOLD if over else machine.action
+        over = machine.sequence.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
+        action = Action.HOLD if over else machine.sequence.action
         found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
         if found is not None:
             text = b"brake fails" if self.brake.fails else b""
@@ -602,24 +595,23 @@ class Loop:
         machine, ending, before = self.machine, self._ending, self._ending.step
         ending.look(
             t_ns, self.repeated_stops, carries=self._carries, lowers=machine.mode is Mode.RELEASING,
-            lowered=machine.fault is Fault.NONE or machine.action is Action.RAMP_DOWN,
+            lowered=machine.fault is Fault.NONE or machine.sequence.action is Action.RAMP_DOWN,
         )  # fmt: skip
         if ending.step is not None and ending.step is not before:
             seconds = ending.left_s if ending.delayed else (t_ns - ending.since_ns) * 1e-9
             self._logbook.event(t_ns, Kind.ENDING, ending.step, value=seconds, limit=number(self.inbox.tension_n))
-        if ending.due and machine.drive_wanted:
+        if ending.due and machine.sequence.motor:
             self._orders.lower_to_end(t_ns)
         elif not ending.delayed:
-            self._stop_until = t_ns + STOP_LIMIT_NS + stopping_ns(self.settings)
-            machine.stop()
+            machine.stop(t_ns + STOP_LIMIT_NS + stopping_ns(self.settings))
 
     @property
     def _carries(self) -> bool:
         """The motor has a load that would sink without it, by CARRY or LOWER or on a brake known not to hold."""
         machine = self.machine
-        if machine.carries:
+        if machine.sequence.carries:
             return True
-        if not (self.brake.fails and machine.drive_wanted) or machine.mode is Mode.FAULT:
+        if not (self.brake.fails and machine.sequence.motor) or machine.mode is Mode.FAULT:
             return False
         return machine.mode is Mode.RELEASING or not self.observer.slack
 
@@ -635,9 +627,8 @@ class Loop:
     def _finish_stop(self, t_ns: int) -> None:
         """Once the stroke stands still, let the drive close its brake; end the loop once it is seen off and braked."""
         still = not self._moving()
-        late = t_ns >= self._stop_until
-        if still or late:
-            self.machine.power_off()
+        late = t_ns >= self.machine.sequence.until_ns
+        self.machine.follow(TickSeen(t_ns, ended=still or late))
         if (still and self.observer.snapshot.power.braked) or late:
             self.finished = True
             inbox = self.inbox
@@ -650,7 +641,7 @@ class Loop:
             word = self.outbox.controlword
             if self._failing > FAILING_TICKS:  # failing ticks do not watch the stroke
                 word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP)
-            if self.machine.silent or self._failing > SILENT_TICKS:
+            if self.machine.sequence.silent or self._failing > SILENT_TICKS:
                 self.outbox.silence(t_ns)
             else:
                 self.outbox.command(word, 0.0, t_ns)
@@ -660,7 +651,7 @@ class Loop:
         self.observer.filter.command(0.0)
         self.machine.trip(Trip(Fault.LOOP_EXCEPTION, 0.0, 0.0), t_ns)
         delayed = (self._ending.delayed or self._carries) and self._failing <= FAILING_TICKS
-        if self.machine.stopping or (self.stop_requested and not delayed):
+        if self.machine.sequence.ends or (self.stop_requested and not delayed):
             self.machine.stop()
             self.finished = True
         try:

@@ -1,33 +1,39 @@
-"""The rig's mode and its state: arming, the latched fault, the power wanted of the drive.
+"""The rig's mode, the latched fault, and the sequence of drive, brake and load: what events and commands make of them.
 
 The machine takes events and commands and returns results as values; it sends and writes nothing.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from rigctl.control import modes
+from rigctl.control import arming, modes, stage
+from rigctl.control.arming import Preparation
 from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
+from rigctl.control.stage import (
+    CUT_AFTER_NS,
+    NO_VALUES,
+    NOT_LEFT,
+    OFF_LIMIT_NS,
+    Accepted,
+    Input,
+    Sequence,
+    StageRow,
+    TickSeen,
+)
 from rigctl.devices.drive import Power
 
-ARM_LIMIT_NS = 2_000_000_000
-"""Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
 LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long, as is a parking undone
 SLIP_BITS = bits_of(having(Trait.MOTOR_MAY_CARRY))
-CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
-OFF_LIMIT_NS = 3_000_000_000
-"""Time a drive has to stop, to close its brake and to go off after a DISARM."""
-DRIVE_RESET_NS = 1_000_000_000
-"""Time a drive has to leave its fault state after a RESET."""
-RESET_WORD_NS = 25_000_000
-"""How long each of the two words of a fault reset is sent: drives read their controlword each 1 to 16 ms."""
 SUPERVISED_NS = 2_000_000_000
 """Time for a drive left to itself to miss heartbeat or command (1 s at most), to stop and to close its brake."""
+_NO_COMMAND = Accepted(None, Verb.HOLD)
+_TESTS_BRAKE = Verb.ARM, Verb.BRAKE_TEST
 
 
 @dataclass(frozen=True)
@@ -41,23 +47,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Answer:
-    """Answer to the command ``id``."""
+    """Answer to the command ``id``; ``command``: what was known of it."""
 
     id: int
     verb: Verb
     refusal: Refusal
-
-
-class PendingCommand(NamedTuple):
-    """An accepted command that waits for the drive, and its event once the drive is enabled.
-
-    ``id`` is None where no operator has given it: it has no answer.
-    """
-
-    id: int | None
-    verb: Verb
-    event: Event | None
-    carry_ns: int = 0
+    command: Accepted = field(default=_NO_COMMAND, compare=False)
 
 
 class Outcome(NamedTuple):
@@ -77,131 +72,66 @@ NOTHING = Outcome()
 class Machine:
     """Starts in DISARMED. `outcome` gives what it has done since the last call.
 
-    ``action``: reaction to the latched fault; it may grow stronger while the fault is latched, and weaker only by CARRY
-    and LOWER. ``armed``: by ARM, and neither disarmed nor taken off power since, so that a reset leads to HOLD; what
-    took the power off asks for a whole arming, with its brake test.
+    ``sequence``: of drive, brake and load, with the command under way; see `rigctl.control.stage`.
     """
 
-    def __init__(self, cut_after_ns: int = CUT_AFTER_NS) -> None:
-        """``cut_after_ns``: time a drive has to stop before its power is cut."""
+    def __init__(self, cut_after_ns: int = CUT_AFTER_NS, *, brake_test: bool = False) -> None:
+        """``cut_after_ns``: time a drive has to stop before its power is cut. ``brake_test``: each ARM has one."""
         self.mode = Mode.DISARMED
         self.fault = Fault.NONE
-        self.action = Action.HOLD
-        self._cut_after_ns, self._cut_at_ns = cut_after_ns, 0
-        self.stopping = False
-        self.armed = False
-        self.awaiting = False
-        """An accepted command waits for the sequence of `rigctl.control.arming`, before the drive's power."""
-        self.carry_until_ns = 0
-        """In FAULT the motor holds until then and then lowers the load, because the brake does not hold; 0: no."""
-        self.starts_anew = False
-        """A reset of the silence is accepted: the loop ends, and start-up brings all devices up again."""
-        self._silent_at_ns = 0
-        self._changes: list[Change] = []
-        self._answers: list[Answer] = []
-        self._pending: PendingCommand | None = None
-        self._pending_until = 0
-        self.drive_wanted = False
-        """The motor carries the load, so the drive has to be enabled."""
-        self._trial: tuple[int, Verb] | None = None
-        self._disarming: tuple[int, int] | None = None
+        self.sequence = Sequence()
+        self._cut_after_ns, self._brake_test = cut_after_ns, brake_test
+        self._done = NOTHING
 
     def outcome(self) -> Outcome:
         """Changes of mode and answers since the last call."""
-        if not (self._changes or self._answers):
-            return NOTHING
-        done = Outcome(tuple(self._changes), tuple(self._answers))
-        self._changes.clear()
-        self._answers.clear()
+        done, self._done = self._done, NOTHING
         return done
-
-    @property
-    def trial(self) -> Verb | None:
-        """The trial under way; its runner calls ``end_trial``."""
-        return None if self._trial is None else self._trial[1]
-
-    @property
-    def disarming(self) -> bool:
-        """An accepted DISARM waits for the drive to be off, its brake closed."""
-        return self._disarming is not None
-
-    @property
-    def arming(self) -> bool:
-        """An accepted ARM waits for the drive."""
-        return self._pending is not None and self._pending.verb is Verb.ARM
-
-    @property
-    def pending(self) -> Verb | None:
-        """An accepted command that waits for the drive."""
-        return None if self._pending is None else self._pending.verb
-
-    @property
-    def taking(self) -> bool:
-        """The drive is commanded on, so that the motor takes the load from the brake."""
-        return self._pending is not None and not (self.awaiting or self.resetting)
-
-    @property
-    def resetting(self) -> bool:
-        """An accepted RESET waits for the drive to leave its fault state; the fault stays latched until then."""
-        return self._pending is not None and self._pending.verb is Verb.RESET
-
-    @property
-    def carries(self) -> bool:
-        """The motor carries or lowers a load that the brake does not hold, or is being switched on to."""
-        return self.carry_until_ns > 0 or (self._pending is not None and self._pending.verb in modes.CARRIES)
 
     @property
     def watched_mode(self) -> Mode:
         """The mode whose rows of the safety table apply: an arming drive is watched as in HOLD."""
-        return Mode.HOLD if self.mode is Mode.DISARMED and self.taking else self.mode
-
-    @property
-    def silent(self) -> bool:
-        """Nothing is sent to the drive any more, until start-up has brought it up again."""
-        return self.action is Action.SILENCE and self.fault is not Fault.NONE
+        return Mode.HOLD if self.mode is Mode.DISARMED and self.sequence.taking else self.mode
 
     def power(self, t_ns: int, *, drive_enabled: bool, drive_faulted: bool) -> Power:
-        """Power to command now. Only arming and taking the load back switch it on; one that dropped out stays off."""
-        if drive_faulted and (self.resetting or (self.taking and self.carries)):
-            edges = (self._pending_until - t_ns) // RESET_WORD_NS
-            return Power.RESET if edges % 2 == 0 else Power.RESET_LOW
-        if self.taking:
-            return Power.ON
-        if self.mode is Mode.FAULT and self.action >= Action.QUICK_STOP:
-            cut = self.action is Action.POWER_OFF and t_ns >= self._cut_at_ns
-            return Power.CUT if cut else Power.QUICK_STOP
-        return Power.ON if self.drive_wanted and drive_enabled else Power.OFF
+        """Power to command now, see `rigctl.control.stage.power`."""
+        self.sequence, power = stage.power(
+            self.sequence, t_ns, drive_enabled=drive_enabled, drive_faulted=drive_faulted
+        )
+        return power
 
     def park(self, *, went_off: bool = False) -> None:
         """The brake takes the load: the drive stops, closes it and goes off; the mode stays.
 
-        ``went_off``: the drive has done so by itself, unasked.
+        ``went_off``: the drive has done so by itself.
         """
-        self.armed &= not went_off
-        if self.trial in modes.NEEDS_MOTOR:  # a tare or a calibration only reads, and goes on
+        if self.sequence.trial in modes.NEEDS_MOTOR:  # a tare or a calibration only reads, and goes on
             self.end_trial(Refusal.ABORTED)
-        self.drive_wanted, self.carry_until_ns = False, 0
+        armed = self.sequence.armed and not went_off
+        self.sequence = stage.after(self.sequence, Input.PARKED, 0, armed=armed, carry_until_ns=0)
 
     def undo_parking(self, trip: Trip, t_ns: int) -> bool:
         """The brake slips at once: the motor takes the load back, as by CARRY, with a fault latched.
 
         Returns whether it does: not where the power was taken off or the rig disarmed, or a command is on its way.
         """
-        stopped = self.fault is not Fault.NONE and self.action > Action.HOLD
-        parked = self.armed and not self.drive_wanted and self.mode.parks
-        tests = self.awaiting and self.pending is Verb.BRAKE_TEST
-        if not parked or stopped or self.stopping or (self._pending is not None and not tests):
+        at = self.sequence
+        stopped = self.fault is not Fault.NONE and at.action > Action.HOLD
+        parked = at.armed and not at.motor and self.mode.parks
+        tests = at.preparing and at.pending is Verb.BRAKE_TEST
+        if not parked or stopped or at.ends or (at.pending is not None and not tests):
             return False
-        self._finish_pending(Refusal.BRAKE_SLIPPED)
+        if at.command is not None:
+            self.prepare(replace(at.command.test, moved_mm=trip.value))
+        self.refuse_pending(Refusal.BRAKE_SLIPPED)
         self.trip(trip, t_ns)
-        self._pending = PendingCommand(None, Verb.CARRY, None, LOWERED_NS)
-        self._pending_until = t_ns + ARM_LIMIT_NS
+        self.carry_back(t_ns)
         return True
 
     def on(self, event: Event) -> None:
         """Take an event of the rig itself; SLACK with a fault latched is the end of a ramp down, and goes to FAULT."""
         if event is Event.SLACK and self.fault is not Fault.NONE:
-            self.carry_until_ns = 0
+            self.sequence = replace(self.sequence, carry_until_ns=0)
             event = Event.RAMP_ENDS
         self._go(event)
 
@@ -211,76 +141,99 @@ class Machine:
         A drive under power holds, except after a quick stop or power off. A ramp down needs a tight rope (not
         ``slack``) on the motor, in a mode that moves or may move; elsewhere it becomes a hold, and a hold ends it.
         """
-        if trip.fault.bit & SLIP_BITS and self.taking and self.mode is Mode.FAULT:
+        at = self.sequence
+        if trip.fault.bit & SLIP_BITS and at.taking and self.mode is Mode.FAULT:
             return False  # the motor takes the load because the brake slips
-        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and self.drive_wanted
+        ramps = trip.action is Action.RAMP_DOWN and not slack and self.mode.may_move and at.motor
         action = trip.action if ramps else max(trip.action, Action.HOLD)
-        if trip.at_once and self.action is Action.POWER_OFF:
-            self._cut_at_ns = min(self._cut_at_ns, t_ns)
-        if self.fault is not Fault.NONE and action <= self.action:
+        if trip.at_once and at.action is Action.POWER_OFF and t_ns < at.cut_ns:
+            self.sequence = at = replace(at, cut_ns=t_ns)
+        if self.fault is not Fault.NONE and action <= at.action:
             return False
         if self.fault is Fault.NONE:
             self.fault = trip.fault
-        if action >= Action.QUICK_STOP > self.action:  # a quick stop under way keeps its deadline
-            self.drive_wanted = self.armed = False
-            self._cut_at_ns = t_ns + self._cut_after_ns
+        changes: dict[str, object] = {"action": action, "carry_until_ns": 0}
+        if action >= Action.QUICK_STOP > at.action:  # a quick stop under way keeps its deadline
+            changes |= {"armed": False, "cut_ns": t_ns + self._cut_after_ns}
         if trip.at_once:
-            self._cut_at_ns = t_ns
-        if action is Action.SILENCE:
-            self._silent_at_ns = t_ns
-        self.action, self.carry_until_ns = action, 0
-        self._go(Event.RAMP_DOWN if ramps else Event.TRIP)
-        self._finish_pending(Refusal.PREFLIGHT if self.arming else Refusal.ABORTED)
+            changes["cut_ns"] = t_ns
         self.end_trial(Refusal.ABORTED)
+        self.refuse_pending(Refusal.PREFLIGHT if at.pending is Verb.ARM else Refusal.ABORTED)
+        stops = Input.SILENCED if action is Action.SILENCE else Input.QUICK_STOPPED
+        self.sequence = (
+            stage.after(self.sequence, stops, t_ns, **changes)
+            if action >= Action.QUICK_STOP
+            else replace(self.sequence, **changes)  # type: ignore[arg-type]
+        )
+        self._go(Event.RAMP_DOWN if ramps else Event.TRIP)
         return True
 
     def under_way(self, situation: Situation, t_ns: int) -> Situation:
         """A situation with what is under way here."""
+        at = self.sequence
         return replace(
             situation,
-            ends=self.stopping,
-            silent=self.silent,
-            left_alone=t_ns - self._silent_at_ns >= SUPERVISED_NS,
-            powered=self.drive_wanted,
-            pending=situation.pending if self._pending is None else self._pending.verb,
-            disarming=self.disarming,
-            tries=self._trial is not None,
+            ends=at.ends,
+            silent=at.silent,
+            left_alone=t_ns - at.silent_ns >= SUPERVISED_NS,
+            powered=at.motor,
+            pending=situation.pending if at.pending is None else at.pending,
+            disarming=at.disarming,
+            tries=at.trial is not None,
         )
 
-    def command(self, id_: int, verb: Verb, situation: Situation, t_ns: int) -> Refusal | None:
+    def command(
+        self,
+        id_: int,
+        verb: Verb,
+        situation: Situation,
+        t_ns: int,
+        values: Mapping[str, float] = NO_VALUES,
+        since_ns: int | None = None,
+    ) -> Refusal | None:
         """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive).
 
-        A command that is refused touches nothing that is under way.
+        ``since_ns``: when it came, if it has waited for the read-back. A command that is refused touches nothing that
+        is under way.
         """
+        command = Accepted(id_, verb, values=values, since_ns=since_ns or t_ns)
         decision = modes.answer(self.mode, verb, self.under_way(situation, t_ns))
         if decision.refusal is not Refusal.NONE:
-            return self._answer(id_, verb, decision.refusal)
-        if verb is Verb.RESET and self.silent:
-            self.starts_anew = True
-            return self._answer(id_, verb, Refusal.NONE)
+            return self._answer(command, decision.refusal)
+        if verb is Verb.RESET and self.sequence.silent:
+            self.sequence = replace(self.sequence, anew=True)
+            return self._answer(command, Refusal.NONE)
         self._end_others(verb)
         if decision.ends:
-            return self._answer(id_, verb, Refusal.NONE)
+            return self._answer(command, Refusal.NONE)
         carry_ns = round(situation.carry_s * 1e9) if verb is Verb.CARRY else 0
+        command = command._replace(event=decision.event, carry_ns=carry_ns)
         if verb is Verb.BRAKE_TEST:
             self.park()
-        if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self.drive_wanted):
-            event = Event.ENABLED if verb is Verb.ARM else decision.event
-            self._pending = PendingCommand(id_, verb, event, carry_ns)
-            self._pending_until = t_ns + ARM_LIMIT_NS
+        if verb is Verb.ARM or (verb in modes.NEEDS_MOTOR and not self.sequence.motor):
+            self._begin(command, situation, t_ns)
             return None
         if verb is Verb.RESET and situation.drive_faulted:
-            self._pending = PendingCommand(id_, verb, decision.event)
-            self._pending_until = t_ns + DRIVE_RESET_NS
+            self.sequence = stage.after(self.sequence, Input.DRIVE_RESET, t_ns, command=command)
             return None
         if verb in modes.TRIED_IN:
-            self._trial = (id_, verb)
+            self.sequence = replace(self.sequence, tried=command)
             return None
-        self._accept(verb, decision.event, t_ns, carry_ns)
+        self._accept(command, t_ns)
         if verb is Verb.DISARM:
-            self._disarming = id_, t_ns + OFF_LIMIT_NS
+            self.sequence = replace(self.sequence, command=command, until_ns=t_ns + OFF_LIMIT_NS)
             return None
-        return self._answer(id_, verb, Refusal.NONE)
+        return self._answer(command, Refusal.NONE)
+
+    def _begin(self, command: Accepted, situation: Situation, t_ns: int) -> None:
+        """Begin what goes before the drive's power, for a command that needs it."""
+        tests, longer = command.verb in _TESTS_BRAKE, situation.brake_fails or command.verb is Verb.BRAKE_TEST
+        test = arming.begin(
+            t_ns, tests=tests and (longer or self._brake_test), at_rest=self.mode is not Mode.FAULT, longer=longer
+        )
+        event = Event.ENABLED if command.verb is Verb.ARM else command.event
+        command = command._replace(event=event, test=test)
+        self.sequence = stage.after(self.sequence, Input.NEEDED, t_ns, command=command)
 
     def _end_others(self, verb: Verb) -> None:
         """End what is under way and gives way to an accepted command."""
@@ -288,118 +241,114 @@ class Machine:
         if verb not in modes.WHILE_DISARMING:
             self._end_disarming(Refusal.ABORTED)
         if verb in modes.ENDS_PENDING:
-            self._finish_pending(Refusal.ABORTED)
+            self.refuse_pending(Refusal.ABORTED)
 
-    def _answer(self, id_: int | None, verb: Verb, refusal: Refusal) -> Refusal:
-        """Answer a command; one that no operator has given, ``id_`` None, has no answer."""
-        if id_ is not None:
-            self._answers.append(Answer(id_, verb, refusal))
+    def _answer(self, command: Accepted, refusal: Refusal) -> Refusal:
+        """Answer a command; one that no operator has given, ``id`` None, has no answer."""
+        if command.id is not None:
+            answer = Answer(command.id, command.verb, refusal, command)
+            self._done = self._done.then(Outcome(answers=(answer,)))
         return refusal
 
-    def follow_drive(
-        self, drive_enabled: bool, t_ns: int, *, drive_faulted: bool = False, cause_present: bool = False
-    ) -> bool:
-        """Carry out the command that waits for the drive once its state is there, or give up after its time.
+    def follow(self, seen: TickSeen) -> StageRow | None:
+        """Do what the row of `rigctl.control.stage.ROWS` says that holds; returns it.
 
-        ``cause_present``: a cause that keeps a fault from being reset, which may begin while a RESET waits. Returns
-        True if a drive has not followed a RESET: then the latched fault is DRIVE_FAULT.
+        After `NOT_LEFT` the latched fault is DRIVE_FAULT.
         """
-        pending = self._pending
-        if pending is None or self.awaiting:
-            return False
-        if self.resetting:
-            if cause_present:
-                self._finish_pending(Refusal.CAUSE_PRESENT)
-            elif not drive_faulted:
-                self._pending = None
-                self._accept(Verb.RESET, pending.event, t_ns, 0)
-                self._answer(pending.id, Verb.RESET, Refusal.NONE)
-            elif t_ns >= self._pending_until:
-                self._finish_pending(Refusal.DRIVE_STATE)
-                self.fault = Fault.DRIVE_FAULT
-                self._go(Event.TRIP)
-                return True
-            return False
-        if not drive_enabled:
-            if drive_faulted and t_ns >= self._pending_until - ARM_LIMIT_NS + DRIVE_RESET_NS and self.carries:
-                self._finish_pending(Refusal.DRIVE_STATE)
-            elif t_ns >= self._pending_until:
-                self._finish_pending(Refusal.DRIVE_TIMEOUT)
-                if self.mode is Mode.FAULT:  # whatever the drive does now, its brake has to close
-                    self.action, self._cut_at_ns = Action.POWER_OFF, t_ns + self._cut_after_ns
-            return False
-        self.drive_wanted, self._pending = True, None
-        if pending.verb in modes.TRIED_IN and pending.id is not None:
-            self._trial = pending.id, pending.verb
-            return False
-        self._accept(pending.verb, pending.event, t_ns, pending.carry_ns)
-        self._answer(pending.id, pending.verb, Refusal.NONE)
-        return False
+        row, command = stage.decide(self.sequence, seen), self.sequence.command
+        if row is None:
+            return None
+        if row.input is Input.LOWERED:
+            self.lower(seen.t_ns)
+        elif row.input is Input.PARKED:
+            self.park(went_off=seen.due and not seen.enabled)
+        elif command is not None:
+            self._end_wait(row, command, seen.t_ns)
+        if row is NOT_LEFT:
+            self.fault = Fault.DRIVE_FAULT
+            self._go(Event.TRIP)
+        return row
+
+    def _end_wait(self, row: StageRow, command: Accepted, t_ns: int) -> None:
+        changes: dict[str, object] = {}
+        if row.input is Input.NOT_ENABLED:
+            changes = {"action": Action.POWER_OFF, "cut_ns": t_ns + self._cut_after_ns}
+        self.sequence = stage.after(self.sequence, row.input, t_ns, **changes)
+        if row.input is Input.ENABLED and command.since_ns is not None and command.verb is not Verb.ARM:
+            command = command._replace(taken_s=(t_ns - command.since_ns) * 1e-9)
+        if row.answer is not Refusal.NONE and row.answer is not None:
+            self._answer(command, row.answer)
+        elif row.input is Input.ENABLED and command.verb in modes.TRIED_IN and command.id is not None:
+            self.sequence = replace(self.sequence, tried=command)
+        elif row.input is not Input.PREPARED:
+            self._accept(command, t_ns)
+            self._answer(command, Refusal.NONE)
+
+    def prepare(self, test: Preparation) -> None:
+        """The state of what goes before the drive's power, for the command that waits."""
+        if self.sequence.command is not None and test is not self.sequence.command.test:
+            self.sequence = replace(self.sequence, command=self.sequence.command._replace(test=test))
 
     def follow_off(self, t_ns: int, *, off: bool) -> None:
-        """Answer the DISARM once the drive is ``off``, its brake closed, or after its time."""
-        if self._disarming is not None and (off or t_ns >= self._disarming[1]):
+        """The drive is seen ``off``, its brake closed, or not; that answers a DISARM, as does the end of its time."""
+        self.sequence = stage.after(self.sequence, Input.SEEN_OFF if off else Input.SEEN_ON, t_ns)
+        if self.sequence.disarming and (off or t_ns >= self.sequence.until_ns):
             self._end_disarming(Refusal.NONE if off else Refusal.OFF_UNSEEN)
 
     def _end_disarming(self, refusal: Refusal) -> None:
-        if self._disarming is not None:
-            self._answers.append(Answer(self._disarming[0], Verb.DISARM, refusal))
-            self._disarming = None
-
-    def await_sequence(self) -> None:
-        """The command that waits for the drive waits for the sequence before its power first."""
-        self.awaiting = True
-
-    def switch_on(self, t_ns: int) -> None:
-        """The sequence before it is complete: the drive may have its power."""
-        self.awaiting, self._pending_until = False, t_ns + ARM_LIMIT_NS
-        if self.mode is Mode.FAULT:
-            self.action = Action.HOLD
+        if self.sequence.disarming:
+            self._end_command(refusal)
 
     def refuse_pending(self, refusal: Refusal) -> None:
         """Refuse the command that waits for the drive."""
-        self._finish_pending(refusal)
+        if self.sequence.pending is not None:
+            self._end_command(refusal)
 
     def end_trial(self, refusal: Refusal) -> None:
         """Answer the trial under way, if there is one."""
-        if self._trial is not None:
-            self._answers.append(Answer(*self._trial, refusal))
-            self._trial = None
+        tried = self.sequence.tried
+        if tried is not None:
+            self.sequence = replace(self.sequence, tried=None)
+            self._answer(tried, refusal)
+
+    def _end_command(self, refusal: Refusal) -> None:
+        command = self.sequence.command
+        self.sequence = stage.after(self.sequence, Input.WITHDRAWN, 0)
+        if command is not None:
+            self._answer(command, refusal)
 
     def lower(self, t_ns: int) -> None:
         """The time of a CARRY is over: the motor lowers the load, since the brake would not hold it."""
-        self._accept(Verb.LOWER, Event.LOWER, t_ns, 0)
+        self._accept(Accepted(None, Verb.LOWER, Event.LOWER), t_ns)
 
-    def stop(self) -> None:
-        """The process ends: hold the stroke and take no more commands."""
-        if not self.stopping:
-            self.stopping, self.carry_until_ns = True, 0
+    def stop(self, until_ns: int = 0) -> None:
+        """The process ends, by ``until_ns`` whatever comes: hold the stroke and take no more commands."""
+        if not self.sequence.ends:
             self.end_trial(Refusal.ABORTED)
-            self._finish_pending(Refusal.STOPPING)
+            self.refuse_pending(Refusal.STOPPING)
             self._end_disarming(Refusal.STOPPING)
+            self.sequence = replace(self.sequence, ends=True, until_ns=until_ns, carry_until_ns=0)
             self._go(Event.STOP if self.fault is Fault.NONE else Event.RAMP_ENDS)
-
-    def power_off(self) -> None:
-        """Let the drive close its brake and go off, in any mode, as the last act of a stop."""
-        self.drive_wanted = False
 
     def carry_back(self, t_ns: int) -> None:
         """The brake does not hold the load that it has been tested with: the motor takes it, as by CARRY."""
-        self._pending = PendingCommand(None, Verb.CARRY, None, LOWERED_NS)
-        self._pending_until, self.awaiting = t_ns + ARM_LIMIT_NS, False
-        self.action = Action.HOLD
+        command = Accepted(None, Verb.CARRY, carry_ns=LOWERED_NS)
+        self.sequence = stage.after(self.sequence, Input.TAKEN_BACK, t_ns, command=command)
 
-    def _accept(self, verb: Verb, event: Event | None, t_ns: int, carry_ns: int) -> None:
-        match verb:
+    def _accept(self, command: Accepted, t_ns: int) -> None:
+        at, event = self.sequence, command.event
+        match command.verb:
             case Verb.RESET:
-                self.fault, self.action, self._cut_at_ns = Fault.NONE, Action.HOLD, 0
+                self.fault = Fault.NONE
+                at = stage.after(at, Input.RESET, t_ns, action=Action.HOLD, cut_ns=0)
             case Verb.DISARM:
-                self.drive_wanted = self.armed = False
-                self.carry_until_ns = 0
+                at = stage.after(at, Input.PARKED, t_ns, armed=False, carry_until_ns=0)
             case Verb.CARRY:
-                self.action, self.carry_until_ns = Action.HOLD, t_ns + carry_ns
+                at = replace(at, action=Action.HOLD, carry_until_ns=t_ns + command.carry_ns)
             case Verb.LOWER | Verb.RELEASE if self.fault is not Fault.NONE:  # the motor carries the load
-                self.action, self.carry_until_ns = Action.RAMP_DOWN, max(self.carry_until_ns, t_ns + LOWERED_NS)
+                until_ns = max(at.carry_until_ns, t_ns + LOWERED_NS)
+                at = replace(at, action=Action.RAMP_DOWN, carry_until_ns=until_ns)
+        self.sequence = at
         if event is not None:
             self._go(event)
 
@@ -411,12 +360,7 @@ class Machine:
         self.mode = after
         self.end_trial(Refusal.ABORTED)
         if event is Event.ENABLED:
-            self.drive_wanted = self.armed = True
+            self.sequence = replace(self.sequence, armed=True)
         elif after is Mode.DISARMED:
-            self.drive_wanted = self.armed = False
-        self._changes.append(Change(before, after, event))
-
-    def _finish_pending(self, refusal: Refusal) -> None:
-        if self._pending is not None:
-            self._answer(self._pending.id, self._pending.verb, refusal)
-            self._pending, self.awaiting = None, False
+            self.sequence = stage.after(self.sequence, Input.PARKED, 0, armed=False)
+        self._done = self._done.then(Outcome(changes=(Change(before, after, event),)))

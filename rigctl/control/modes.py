@@ -116,31 +116,6 @@ _SHOWN_WORDS: dict[PowerOff, str] = {
 }
 
 
-def held_by(
-    mode: Mode, *, known: bool, braked: bool, rests: bool, settles: bool, taking: bool, powered: bool
-) -> HeldBy:
-    """What carries the load now.
-
-    Args:
-        mode: the mode.
-        known: the drive's state is fresh.
-        braked: the drive has been off for as long as its brake takes to close.
-        rests: the load is at rest; a closed brake alone does not show that it holds.
-        settles: the brake has closed so lately that the load may not have been seen at rest yet.
-        taking: the drive has been commanded on and is not enabled yet.
-        powered: the drive is enabled and is to stay so.
-    """
-    if not known:
-        return HeldBy.UNKNOWN
-    if taking:
-        return HeldBy.TAKING
-    if braked:
-        return HeldBy.BRAKE if rests else HeldBy.CLOSING if settles else HeldBy.UNKNOWN
-    if not powered:
-        return HeldBy.CLOSING
-    return HeldBy.NOTHING if mode.moves_stroke else HeldBy.MOTOR
-
-
 class Event(IntEnum):
     """What moves the rig from one mode to another."""
 

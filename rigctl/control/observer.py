@@ -17,7 +17,7 @@ from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Mode, held_by
+from rigctl.control.modes import Mode
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
@@ -30,6 +30,7 @@ from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.signs import SignCheck
 from rigctl.control.sinking import Sinking
 from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.stage import held_by
 from rigctl.control.stretch_lead import StretchLead
 from rigctl.control.stroke_hold import StrokeHold
 from rigctl.control.sync_timing import SyncTiming
@@ -218,7 +219,7 @@ class Observer:
         snapshot.taken_up_shown_n, snapshot.taken_up_excess_n = self._take_up.shown_n, self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
-        snapshot.drive_wanted = machine.drive_wanted and not machine.stopping
+        snapshot.drive_wanted = machine.sequence.motor and not machine.sequence.ends
         enabled, commanded = snapshot.drive_enabled, self._outbox.controlword == _ENABLE
         # The stroke's latch watches motion under our own command.
         snapshot.drive_powered = not (snapshot.drive_off or snapshot.drive_faulted or commanded)
@@ -251,19 +252,19 @@ class Observer:
         snapshot, machine, rest, seen = self.snapshot, self._machine, self._load_rest, self.snapshot.power
         braked = seen.braked
         snapshot.load_at_rest = rest.look(standing | machine.fault.bit, snapshot)
-        snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=braked)
+        snapshot.power_off = self.power_off.look(machine.fault, machine.sequence.action, snapshot, rest, braked=braked)
         rests = snapshot.load_at_rest.rests
         self._rested &= braked
         settles = not self._rested and seen.settles and not snapshot.sink_mm_s
         self._rested |= braked and rests and seen.left_alone
         snapshot.held_by = held_by(
+            machine.sequence,
             machine.mode,
             known=snapshot.drive_heard,
+            enabled=snapshot.drive_enabled,
             braked=braked,
             rests=rests and self._rested,
             settles=settles,
-            taking=machine.taking,
-            powered=snapshot.drive_enabled and machine.drive_wanted,
         )
 
     def _look_at_power(self) -> None:

@@ -28,6 +28,7 @@ from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.settings_in_force import SettingsInForce
 from rigctl.control.situation import Situation, Witness
+from rigctl.control.stage import NO_VALUES, READY, SLIPPED, Accepted, TickSeen
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
@@ -101,19 +102,14 @@ class Orders:
         self._waiting: _Waiting | None = None
         self._parked_ns: int | None = None  # when the brake took the load of an armed rig
         self._recheck = False  # a fault has been reset since the last read-back of every object
-        self._values: _Values = {}  # of the command under way
         self.powered_until_ns = 0
         """The motor may hold until then for the trial under way; 0: the trial needs no power."""
         self._look_ns = 0
-        self._near_end = False  # the last ARM was given to drive away from an end of the stroke
         self._found: _Values = {}  # figures of the last trial
-        self._taking: tuple[int, int] | None = None  # the command for which the motor takes the load, and since when
         self.length_mm = 0.0  # of the last RELEASE
-        self._taken_s = math.nan  # how long that took, where a trial went on after it
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
         self._armed_mm = math.nan  # stroke at the first ARM of a tight rope since the load was moved on purpose
         self._disarmed_mm = math.nan  # at the last DISARM: what moves from there to the next ARM is no arm's
-        self._sequence = arming.Sequence(settings)  # from an accepted ARM to the drive's power
 
     def take(self, slot: object, t_ns: int) -> bool:
         """Take one slot of the command ring; returns whether an operator gave it."""
@@ -141,19 +137,19 @@ class Orders:
     def attend(self, t_ns: int) -> None:
         """Go on with a waiting command, what the displays offer, and the trial, answered once it has ended."""
         machine = self._machine
-        parked = machine.armed and self._observer.snapshot.power.braked
+        parked = machine.sequence.armed and self._observer.snapshot.power.braked
         self._parked_ns = (self._parked_ns or t_ns) if parked else None
         if self._waiting is not None:
             self._go_on_waiting(self._waiting, t_ns)
         if t_ns >= self._look_ns:
             self._look_ns = t_ns + LOOK_NS
             self._publish(t_ns)
-        if self.trial is None and machine.trial is not None:  # the motor has taken the load for it
-            self._begin_trial(machine.trial, t_ns)
+        if self.trial is None and machine.sequence.tried is not None:  # the motor has taken the load for it
+            self._begin_trial(machine.sequence.tried, t_ns)
         trial = self.trial
         if trial is None:
             return
-        if machine.trial is not None:
+        if machine.sequence.trial is not None:
             if self._waits_for_brake(trial):
                 return
             verdict = trial.see(self._observer.inbox, self._observer.snapshot)
@@ -175,7 +171,7 @@ class Orders:
         machine = self._machine
         failing = Check(0) if machine.mode.moves_stroke else self.failed_checks()
         self._logbook.situation(t_ns, machine.mode, self._situation(t_ns, failing=failing))
-        if machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.pending:
+        if machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.sequence.pending:
             self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
 
     def _waits_for_brake(self, trial: trials.Trial) -> bool:
@@ -185,31 +181,28 @@ class Orders:
 
     def prepare(self, t_ns: int) -> None:
         """Go on with the sequence of an accepted command; the checks must pass to its end."""
-        machine, snapshot, sequence = self._machine, self._observer.snapshot, self._sequence
-        if not machine.awaiting:
+        machine, snapshot, command = self._machine, self._observer.snapshot, self._machine.sequence.command
+        if command is None or not machine.sequence.preparing:
             return
-        step = sequence.step(t_ns, snapshot, slack=self._observer.slack)
-        if step is arming.ArmingStep.SLIPPED:
-            verb = machine.pending
-            machine.refuse_pending(Refusal.BRAKE_SLIPPED)
-            trip = Trip(Fault.BRAKE_SLIPS, sequence.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
+        test, step = arming.prepare(command.test, t_ns, snapshot, slack=self._observer.slack)
+        machine.prepare(test)
+        barred = step is not arming.ArmingStep.SLIPPED and bool(self._barring(command) & ~arming.AWAITED_CHECKS)
+        row = machine.follow(TickSeen(t_ns, prepared=step, barred=barred))
+        if row is SLIPPED:
+            trip = Trip(Fault.BRAKE_SLIPS, test.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
             if machine.trip(trip, t_ns):
                 self._logbook.trip(t_ns, Kind.TRIP, trip)
             # A load on a brake that fails the test for the second time is the motor's, as is one that it had before.
-            back = self._brake.fails or verb is Verb.BRAKE_TEST
+            back = self._brake.fails or command.verb is Verb.BRAKE_TEST
             self._brake.set("the brake test has failed")
-            if back and not self._barring(Verb.CARRY):
+            if back and not self._barring(Accepted(None, Verb.CARRY)):
                 self._carried.begin(Witness.BOTH, self._watch.standing, snapshot)
                 machine.carry_back(t_ns)
-        elif step is arming.ArmingStep.LATE or self._barring() & ~arming.AWAITED_CHECKS:
-            machine.refuse_pending(Refusal.PREFLIGHT)
-        elif step is arming.ArmingStep.READY:
-            machine.switch_on(t_ns)
-            if sequence.tested is not None:
-                held = int(sequence.tested)
-                self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, sequence.moved_mm, number(sequence.tension_n))
-                if held:
-                    self._brake.tested(sequence.tension_n)
+        elif row is READY and test.tested is not None:
+            held = int(test.tested)
+            self._logbook.event(t_ns, Kind.BRAKE_TEST, held, 0, test.moved_mm, number(test.tension_n))
+            if held:
+                self._brake.tested(test.tension_n)
 
     def reply(self, t_ns: int, answers: Sequence[Answer]) -> None:
         """Reply to the commands that the machine has answered."""
@@ -217,23 +210,19 @@ class Orders:
             self.look_again()
             self._reply_to(t_ns, given if self._machine.fault is Fault.NONE else self._tripped(given))
 
-    def note_slip(self, moved_mm: float) -> None:
-        """The load has moved by so much on the closed brake in the brake test under way, before its 10 s began."""
-        self._sequence.note_slip(moved_mm)
-
     def _tripped(self, given: Answer) -> Answer:
         """A trip that no check names has ended the command: its cause is the answer."""
-        tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.verb)
+        tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.command)
         return replace(given, refusal=Refusal.CAUSE_PRESENT) if tripped else given
 
     def _reply_to(self, t_ns: int, given: Answer, barred: Check = Check(0)) -> None:  # noqa: B008 - a constant
         """``barred``: by these checks, where the situation of the answer knows them."""
         checks, figures = 0, {"tension_n": self._observer.tension_n}
         if given.refusal is Refusal.PREFLIGHT:
-            failing = barred or self._barring(given.verb)
+            failing = barred or self._barring(given.command)
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
         elif given.refusal in _ABOUT_DRIVE:
-            figures = self._of_drive(given.refusal)
+            figures = self._of_drive(given)
         elif given.refusal is Refusal.CAUSE_PRESENT:
             figures = {"cause": float(self._watch.present(self._observer.snapshot))}
             checks = self._watch.blocking(self._observer.snapshot)
@@ -242,11 +231,11 @@ class Orders:
         elif given.refusal is Refusal.DISAGREE:
             figures = {"apart_mm": self._observer.snapshot.sink_apart_mm}
         elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
-            figures = {"carried_s": max(0, self._machine.carry_until_ns - t_ns) * 1e-9}
+            figures = {"carried_s": max(0, self._machine.sequence.carry_until_ns - t_ns) * 1e-9}
         elif given.refusal is Refusal.LOADED:
             figures = {"reading_n": self._observer.inbox.reading_n}
         elif given.verb is Verb.BRAKE_TEST and given.refusal is Refusal.NONE:
-            figures = {"tension_n": self._sequence.tension_n}
+            figures = {"tension_n": given.command.test.tension_n}
         elif given.verb is Verb.MOVE and self._learning is not None:
             figures = {"taught": float(self._learning.taught)}
         elif given.verb is Verb.CONFIRM_STROKE:
@@ -255,25 +244,19 @@ class Orders:
             figures = {"target_n": self._law.target_n}
         elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
             figures = self._found
-        self._reply(t_ns, given.id, given.refusal, checks, {**figures, **self._taken(t_ns, given)})
+        self._reply(t_ns, given.id, given.refusal, checks, {**figures, **_taken(given)})
 
-    def _of_drive(self, refusal: Refusal) -> dict[str, float]:
+    def _of_drive(self, given: Answer) -> dict[str, float]:
         """The figure that a refusal on account of drive or brake is about."""
-        match refusal:
+        match given.refusal:
             case Refusal.BRAKE_SLIPPED:
-                return {"moved_mm": self._sequence.moved_mm}
+                return {"moved_mm": given.command.test.moved_mm}
             case Refusal.LITTLE_LOAD:
                 return {"needed_n": self._brake.wanted_n}
             case Refusal.STOP_RUNNING:
                 return {"speed_mm_s": self._observer.inbox.speed_mm_s}
             case _:
                 return {"drive_state": float(drive_state(self._observer.inbox.statusword))}
-
-    def _taken(self, t_ns: int, given: Answer) -> dict[str, float]:
-        """How long the motor took to take the load from the brake for this command, if it did."""
-        if given.refusal is not Refusal.NONE or self._taking is None or self._taking[0] != given.id:
-            return {}
-        return {"taken_s": (t_ns - self._taking[1]) * 1e-9 if math.isnan(self._taken_s) else self._taken_s}
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
@@ -285,12 +268,12 @@ class Orders:
         failing = safety.preflight(snapshot, self._settings, beyond, known, near_end=near_end)
         return failing | arming.awaited(snapshot)
 
-    def _barring(self, verb: Verb | None = None) -> Check:
-        """Checks that fail now of those that the command under way must pass; ``verb``: of one already answered."""
-        if (verb or self._machine.pending) is Verb.ARM:
-            return self.failed_checks(near_end=self._near_end)
-        failing = self.failed_checks()
-        if (verb or self._machine.pending) in modes.CARRIES and (self._brake.fails or self._carried.named):
+    def _barring(self, command: Accepted) -> Check:
+        """Checks that fail now of those that a command must pass."""
+        failing = self.failed_checks(near_end=_near_end(command.verb, command.values))
+        if command.verb is Verb.ARM:
+            return failing
+        if command.verb in modes.CARRIES and (self._brake.fails or self._carried.named):
             return failing & modes.bars_carry(self._carried.choose(self._watch.standing, self._observer.snapshot))
         return failing & ~modes.AT_ARM_ONLY
 
@@ -301,18 +284,17 @@ class Orders:
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
         self.look_again()
-        if waiting is None and not machine.pending:
-            if verb is Verb.ARM:
-                self._near_end = values["near_end"] == 1.0
-            elif verb is Verb.RESET and machine.mode is Mode.DISARMED:
-                self._readback.forget()  # ARM reads all of it again
-                self._observer.look_at_settings()
-        situation = self._situation(t_ns, verb).given(values)
+        idle = waiting is None and not machine.sequence.pending
+        if idle and verb is Verb.RESET and machine.mode is Mode.DISARMED:
+            self._readback.forget()  # ARM reads all of it again
+            self._observer.look_at_settings()
+        situation = self._situation(t_ns, verb, values)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
             named = decision.refusal is Refusal.PREFLIGHT and verb is not Verb.ARM
             barred = modes.barring(verb, situation) if named else 0
-            self._reply_to(t_ns, Answer(id_, verb, decision.refusal), Check(barred))
+            refused = Answer(id_, verb, decision.refusal, Accepted(id_, verb, values=values))
+            self._reply_to(t_ns, refused, Check(barred))
             return
         if waiting is not None and verb in modes.ENDS_PENDING:
             self._reply(t_ns, waiting.id, Refusal.ABORTED)
@@ -332,7 +314,7 @@ class Orders:
     def _reads_first(self, verb: Verb, t_ns: int) -> bool:
         """Every supervised object is read before this command, if it is accepted."""
         machine = self._machine
-        if machine.pending or not (self._readback.size and self._verified_at_start):
+        if machine.sequence.pending or not (self._readback.size and self._verified_at_start):
             return False
         if verb is Verb.ARM:
             return True
@@ -344,24 +326,31 @@ class Orders:
     def _go_on_waiting(self, waiting: _Waiting, t_ns: int) -> None:
         """Carry the command out once everything is read back, or refuse; the other checks are evaluated again."""
         verdict = self._readback.verdict(t_ns)
-        if verdict is None and self._machine.mode is waiting.mode and not self._machine.stopping:
+        if verdict is None and self._machine.mode is waiting.mode and not self._machine.sequence.ends:
             return
         self._waiting = None
         self._readback.give_up()
         if verdict:
             self._recheck = False
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
-        situation = self._situation(t_ns, waiting.verb, read=True).given(waiting.values)
+        situation = self._situation(t_ns, waiting.verb, waiting.values, read=True)
         self._carry_out(waiting.id, waiting.verb, waiting.values, situation, t_ns, since_ns=waiting.since_ns)
 
     def _situation(
-        self, t_ns: int, verb: Verb | None = None, *, failing: Check | None = None, read: bool = False
+        self,
+        t_ns: int,
+        verb: Verb | None = None,
+        values: Mapping[str, float] = NO_VALUES,
+        *,
+        failing: Check | None = None,
+        read: bool = False,
     ) -> Situation:
         """What the answer to a command depends on now.
 
         Args:
             t_ns: now.
             verb: of the command; None: of any.
+            values: of the command.
             failing: the checks that bar arming, where they are known.
             read: the supervised objects have just been read for the command.
         """
@@ -369,17 +358,17 @@ class Orders:
         snapshot = observer.snapshot
         moves = machine.mode.moves_stroke  # no check and no cause is in the way of a command
         if failing is None:
-            failing = Check(0) if moves else self.failed_checks(near_end=verb is Verb.ARM and self._near_end)
-        stops = machine.action >= Action.QUICK_STOP or snapshot.drive_faulted
+            failing = Check(0) if moves else self.failed_checks(near_end=_near_end(verb, values))
+        stops = machine.sequence.action >= Action.QUICK_STOP or snapshot.drive_faulted
         situation = Situation(
             failed_checks=int(failing & ~arming.AWAITED_CHECKS),
             causes=0 if moves else self._watch.blocking(snapshot),
-            stop_running=stops and not machine.carry_until_ns and arming.stop_running(snapshot),
+            stop_running=stops and not machine.sequence.carry_until_ns and arming.stop_running(snapshot),
             fault=machine.fault,
             moves=0 if settings.learning is None else settings.learning.moves,
             stroke_mm=snapshot.stroke_mm if snapshot.drive_heard else math.nan,
-            armed=machine.armed,
-            carried_s=max(0, machine.carry_until_ns - t_ns) * 1e-9 if machine.carry_until_ns else 0.0,
+            armed=machine.sequence.armed,
+            carried_s=max(0, machine.sequence.carry_until_ns - t_ns) * 1e-9 if machine.sequence.carry_until_ns else 0.0,
             e_stop=snapshot.e_stop != 0,
             brake_fails=brake.fails,
             sunk_mm=0.0 if observer.slack else self._armed_mm - snapshot.stroke_mm,
@@ -404,7 +393,7 @@ class Orders:
             drive_state=drive_state(observer.inbox.statusword),
             reading_n=observer.inbox.reading_n,
         )
-        return machine.under_way(situation, t_ns)
+        return machine.under_way(situation, t_ns).given(values)
 
     def _carry_out(
         self, id_: int, verb: Verb, values: _Values, situation: Situation, t_ns: int, *, since_ns: int | None = None
@@ -413,29 +402,19 @@ class Orders:
         machine, observer = self._machine, self._observer
         if verb in modes.CARRIES:
             self._latch_slip(verb, situation, t_ns)
-        fault, was_pending = machine.fault, machine.pending
-        refusal = machine.command(id_, verb, situation, t_ns)
+        fault = machine.fault
+        refusal = machine.command(id_, verb, situation, t_ns, values, since_ns)
         if refusal not in (None, Refusal.NONE):
             return
         done = refusal is Refusal.NONE
         self._note_arm(verb)
-        if machine.pending is verb and was_pending is not verb and not machine.resetting:
-            if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
-                self.shown_checks = situation.failed_checks
-            machine.await_sequence()
-            self._taking, self._taken_s = None if verb is Verb.ARM else (id_, since_ns or t_ns), math.nan
-            self._sequence.begin(
-                t_ns,
-                tests=verb in (Verb.ARM, Verb.BRAKE_TEST),
-                at_rest=machine.mode is not Mode.FAULT,
-                longer=self._brake.fails or verb is Verb.BRAKE_TEST,
-            )
+        if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
+            self.shown_checks = situation.failed_checks
         self.trial, self.powered_until_ns = None, 0
-        self._values = values
         if verb is Verb.RELEASE:
             self.length_mm = situation.length_mm
-        if machine.trial is not None:
-            self._begin_trial(machine.trial, t_ns)
+        if machine.sequence.tried is not None:
+            self._begin_trial(machine.sequence.tried, t_ns)
         if fault is not machine.fault:
             self.acknowledged(fault, t_ns)
         if verb is Verb.TARGET and done:
@@ -485,16 +464,15 @@ class Orders:
         self._carried.forget()
         self._logbook.event(t_ns, Kind.RESET, fault)
 
-    def _begin_trial(self, verb: Verb, t_ns: int) -> None:
+    def _begin_trial(self, tried: Accepted, t_ns: int) -> None:
         """Begin a trial; one that moves the stroke has the motor hold for as long as it states."""
         machine, observer = self._machine, self._observer
-        self._taken_s = (t_ns - self._taking[1]) * 1e-9 if self._taking is not None else math.nan
         held, regulated = machine.mode is Mode.HOLD, machine.mode is Mode.COMPENSATING
         self.trial = trials.begin(
-            verb,
+            tried.verb,
             self._settings,
             observer.inbox,
-            creep_s=self._values.get("creep_s", math.nan),
+            creep_s=tried.values.get("creep_s", math.nan),
             tight_ns=observer.tight_ns if held else None,
             regulated=regulated,
         )
@@ -520,3 +498,14 @@ class Orders:
                 id_ ^ HOLD_ID,
                 HoldAnswer(t_ns, done, refusal, checks, machine.fault, stroke_mm, tension_n, machine.mode.name),
             )
+
+
+def _near_end(verb: Verb | None, values: Mapping[str, float]) -> bool:
+    """Whether a command is to drive away from an end of the stroke."""
+    return verb is Verb.ARM and values.get("near_end") == 1.0
+
+
+def _taken(given: Answer) -> dict[str, float]:
+    """How long the motor took to take the load from the brake for this command, if it did."""
+    taken_s = given.command.taken_s
+    return {"taken_s": taken_s} if given.refusal is Refusal.NONE and not math.isnan(taken_s) else {}

@@ -68,7 +68,7 @@ class SettingsInForce:
     def _set_correction(self, values: _Values, t_ns: int, machine: Machine) -> Refusal:
         """Put zero or scale of the cell in force; the reading jumps, so only in DISARMED or HOLD."""
         inbox = self._observer.inbox
-        if not machine.mode.reading_may_jump or machine.stopping:
+        if not machine.mode.reading_may_jump or machine.sequence.ends:
             return Refusal.WRONG_MODE
         if "zero_n" in values and not abs(inbox.reading_n) <= self._settings.tare_limit_n:
             return Refusal.LOADED
@@ -95,7 +95,7 @@ class SettingsInForce:
 
     def _set_creep(self, values: _Values, t_ns: int, machine: Machine) -> Refusal:
         """Put the cell's creep in force, or none; the reading jumps a little, so only in DISARMED or HOLD."""
-        if not machine.mode.reading_may_jump or machine.stopping:
+        if not machine.mode.reading_may_jump or machine.sequence.ends:
             return Refusal.WRONG_MODE
         terms = (
             CreepTerm(values["creep_1"], values["creep_1_s"]),

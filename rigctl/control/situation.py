@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import IntEnum
 from operator import attrgetter
@@ -77,7 +78,7 @@ class Situation:
         """The rope is slack, and with a brake that does not hold nothing but the cell says otherwise."""
         return self.slack and not (self.brake_fails and self.slack_doubted)
 
-    def given(self, values: dict[str, float]) -> Situation:
+    def given(self, values: Mapping[str, float]) -> Situation:
         """The same for a command with these values, by the names of `rigctl.control.modes.VALUES`; NaN: not given."""
         known = {
             _OF_VALUE[name]: value for name, value in values.items() if name in _OF_VALUE and not math.isnan(value)

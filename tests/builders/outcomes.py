@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from rigctl.control.arming import ArmingStep
 from rigctl.control.machine import Answer, Change, Machine
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Trip, Watch
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.stage import NOT_LEFT, TickSeen
 
 
 class WatchLog(Watch):
@@ -38,6 +40,19 @@ class MachineLog(Machine):
         done = self.outcome()
         self._all_changes += done.changes
         self._all_answers += done.answers
+
+    def prepared(self, t_ns: int) -> None:
+        """All that goes before the drive's power has come."""
+        self.follow(TickSeen(t_ns, prepared=ArmingStep.READY))
+
+    def follow_drive(
+        self, enabled: bool, t_ns: int, *, drive_faulted: bool = False, cause_present: bool = False
+    ) -> bool:
+        """One tick of a drive that has been commanded on or reset; whether it has not followed a reset."""
+        if self.sequence.preparing:
+            self.prepared(t_ns)
+        latched = self.mode is Mode.FAULT
+        return self.follow(TickSeen(t_ns, enabled, drive_faulted, cause=cause_present, latched=latched)) is NOT_LEFT
 
     @property
     def changes(self) -> list[Change]:

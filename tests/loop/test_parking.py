@@ -20,9 +20,9 @@ from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import REST_NS
-from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action
+from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.control.tension import Gains
 from rigctl.control.trials import Average
 from rigctl.devices import objects

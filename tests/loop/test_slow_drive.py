@@ -9,8 +9,8 @@ import pytest
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
-from rigctl.control.machine import DRIVE_RESET_NS
 from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.control.stage import DRIVE_RESET_NS
 from rigctl.devices.objects import DriveState
 from tests.builders.loop_frames import stop_node
 

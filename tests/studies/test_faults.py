@@ -22,7 +22,7 @@ from hil.faults.rows_brake import BRAKE
 from hil.faults.rows_creep import CREEP
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.control import modes, observer, safety
+from rigctl.control import modes, observer, safety, stage
 from rigctl.control.escalation import Escalator
 from rigctl.control.faults import Fault
 from rigctl.control.modes import Mode
@@ -151,7 +151,7 @@ def test_a_rig_that_shows_the_power_off_while_the_motor_has_it_is_found_out(monk
         detector.seen.braked = detector.seen.brake_time_over
 
     monkeypatch.setattr(PowerDetector, "look", by_state)
-    monkeypatch.setattr(observer, "held_by", lambda mode, **found: modes.held_by(mode, **{**found, "rests": True}))
+    monkeypatch.setattr(observer, "held_by", lambda *at, **found: stage.held_by(*at, **{**found, "rests": True}))
     found = row(new_bench(), "torque_lost", Mode.FAULT)
     assert any(text.startswith("power off shown") for text in found.findings)
 

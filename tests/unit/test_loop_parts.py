@@ -80,7 +80,7 @@ def test_no_test_and_no_study_uses_a_part_of_the_loop_but_in_its_place() -> None
         ("rig.loop.machine.mode", 0),
         ("rig.loop.machine.fault", 0),
         ("rig.loop.machine.mode = x", 1),
-        ("rig.loop.machine.action", 1),
+        ("rig.loop.machine.sequence.action", 1),
         ("machine = rig.loop.machine", 1),
         ("a, b = rig.loop, 0\na.machine.trip()", 1),
         ("loop.observer.snapshot", 1),
@@ -89,7 +89,7 @@ def test_no_test_and_no_study_uses_a_part_of_the_loop_but_in_its_place() -> None
         ("patch.setattr(rig.loop, '_decide', broken)", 1),
         ("patch.setattr(rig.loop, 'tick', tick)", 0),
         ("getattr(rig.loop, 'machine')", 1),
-        ("rig.loop.law.target_n\nself.machine.action", 0),
+        ("rig.loop.law.target_n\nself.machine.sequence.action", 0),
     ],
 )
 def test_a_use_is_counted(source: str, uses: int) -> None:

@@ -114,14 +114,14 @@ def machines() -> dict[str, Machine]:
 def test_a_machine_answers_what_its_situation_says(name: str, verb: Verb, failed: int, late: bool) -> None:
     machine, t_ns = machines()[name], SUPERVISED_NS if late else 0
     machine.outcome()
-    before = machine.mode, machine.pending, machine.trial, machine.disarming
+    before = machine.mode, machine.sequence.pending, machine.sequence.trial, machine.sequence.disarming
     situation = machine.under_way(replace(READY, failed_checks=failed), t_ns)
     said = answer(machine.mode, verb, situation).refusal
     given_now = machine.command(2, verb, replace(READY, failed_checks=failed), t_ns)
     assert (given_now or Refusal.NONE) is said
     if said is not Refusal.NONE:
-        assert (machine.mode, machine.pending, machine.trial, machine.disarming) == before
-    after = machine.pending, machine.trial, machine.disarming
+        assert (machine.mode, machine.sequence.pending, machine.sequence.trial, machine.sequence.disarming) == before
+    after = machine.sequence.pending, machine.sequence.trial, machine.sequence.disarming
     ended = any(was and now != was for was, now in zip(before[1:], after, strict=True))
     answers = [answered.id for answered in machine.outcome().answers]
     assert 1 in answers or not ended, "what was under way is answered once it has given way"

@@ -12,8 +12,10 @@ from rigctl.control.arming import (
     BRAKE_TEST_MM,
     BRAKE_TEST_NS,
     ArmingStep,
-    Sequence,
+    Preparation,
     awaited,
+    begin,
+    prepare,
 )
 from rigctl.control.checks import Check
 from rigctl.control.power_seen import STILL_NS, PowerSeen, Standstill
@@ -26,46 +28,43 @@ MS, S = 1_000_000, 1_000_000_000
 REST = Snapshot(tension_n=300.0, stroke_mm=50.0, power=PowerSeen(brake_time_over=True), still_ns=STILL_NS)
 
 
-def begun() -> Sequence:
-    sequence = Sequence(SETTINGS)
-    sequence.begin(1 * S, tests=True)
-    return sequence
+def begun() -> Preparation:
+    return begin(1 * S, tests=True)
 
 
-def in_its_test(sequence: Sequence, moved_mm: float) -> ArmingStep:
-    assert sequence.step(1 * S, REST, slack=False) is ArmingStep.WAIT
-    return sequence.step(1 * S + 1 * MS, replace(REST, stroke_mm=50.0 + moved_mm), slack=False)
+def in_its_test(moved_mm: float) -> tuple[Preparation, ArmingStep]:
+    test, step = prepare(begun(), 1 * S, REST, slack=False)
+    assert step is ArmingStep.WAIT
+    return prepare(test, 1 * S + 1 * MS, replace(REST, stroke_mm=50.0 + moved_mm), slack=False)
 
 
 def test_the_drive_gets_power_once_the_brake_has_held_for_its_time() -> None:
-    sequence = begun()
-    assert in_its_test(sequence, 0.9 * BRAKE_TEST_MM) is ArmingStep.WAIT
-    assert sequence.step(1 * S + BRAKE_TEST_NS - 1, REST, slack=False) is ArmingStep.WAIT
-    assert sequence.tested is None
-    assert sequence.step(1 * S + BRAKE_TEST_NS, REST, slack=False) is ArmingStep.WAIT
-    assert (sequence.tested, sequence.tension_n) == (True, 300.0)
-    assert sequence.step(1 * S + BRAKE_TEST_NS + 1, REST, slack=False) is ArmingStep.READY
+    test, step = in_its_test(0.9 * BRAKE_TEST_MM)
+    assert step is ArmingStep.WAIT
+    test, step = prepare(test, 1 * S + BRAKE_TEST_NS - 1, REST, slack=False)
+    assert (test.tested, step) == (None, ArmingStep.WAIT)
+    test, step = prepare(test, 1 * S + BRAKE_TEST_NS, REST, slack=False)
+    assert (test.tested, test.tension_n, step) == (True, 300.0, ArmingStep.WAIT)
+    assert prepare(test, 1 * S + BRAKE_TEST_NS + 1, REST, slack=False)[1] is ArmingStep.READY
 
 
 @pytest.mark.parametrize("moved_mm", [1.1 * BRAKE_TEST_MM, -1.1 * BRAKE_TEST_MM, float("nan")])
 def test_a_brake_that_gives_way_either_way_has_slipped(moved_mm: float) -> None:
-    sequence = begun()
-    assert in_its_test(sequence, moved_mm) is ArmingStep.SLIPPED
-    assert sequence.tested is None
-    assert sequence.moved_mm == pytest.approx(moved_mm, nan_ok=True)
+    test, step = in_its_test(moved_mm)
+    assert (test.tested, step) == (None, ArmingStep.SLIPPED)
+    assert test.moved_mm == pytest.approx(moved_mm, nan_ok=True)
 
 
 def test_a_slack_rope_tests_no_brake() -> None:
-    sequence = begun()
-    assert sequence.step(1 * S, REST, slack=True) is ArmingStep.READY
-    assert sequence.tested is False
+    test, step = prepare(begun(), 1 * S, REST, slack=True)
+    assert (test.tested, step) == (False, ArmingStep.READY)
 
 
 def test_what_is_awaited_is_waited_for_and_then_it_is_too_late() -> None:
-    sequence, moving = begun(), replace(REST, still_ns=0)
+    moving = replace(REST, still_ns=0)
     assert awaited(moving) == Check.NOT_AT_STANDSTILL
-    assert sequence.step(1 * S + AWAIT_NS - 1, moving, slack=True) is ArmingStep.WAIT
-    assert sequence.step(1 * S + AWAIT_NS, moving, slack=True) is ArmingStep.LATE
+    assert prepare(begun(), 1 * S + AWAIT_NS - 1, moving, slack=True)[1] is ArmingStep.WAIT
+    assert prepare(begun(), 1 * S + AWAIT_NS, moving, slack=True)[1] is ArmingStep.LATE
     assert awaited(replace(REST, power=PowerSeen())) == Check.SEQUENCE_RUNNING
 
 

@@ -11,25 +11,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Answer, Machine
+from rigctl.control.machine import Answer, Machine
 from rigctl.control.modes import (
     FILED,
     TRANSITIONS,
     TRIED_IN,
     Decision,
     Event,
-    HeldBy,
     Mode,
     Refusal,
     Setting,
     Verb,
     command_slot,
     decide,
-    held_by,
     next_mode,
 )
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
+from rigctl.control.stage import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Sequence
 from rigctl.devices.drive import Power
 from rigctl.ipc.record import COMMAND
 from tests.builders.outcomes import MachineLog
@@ -84,27 +83,12 @@ def test_no_carry_while_the_emergency_stop_is_pressed() -> None:
     assert decide(Mode.FAULT, Verb.CARRY, replace(may, e_stop=True)).refusal is Refusal.CAUSE_PRESENT
 
 
-@pytest.mark.parametrize(
-    ("known", "braked", "rests", "settles", "by"),
-    [
-        (True, True, True, False, HeldBy.BRAKE), (True, True, False, True, HeldBy.CLOSING),
-        (True, True, False, False, HeldBy.UNKNOWN), (True, False, True, True, HeldBy.CLOSING),
-        (False, True, True, False, HeldBy.UNKNOWN),
-    ],
-)  # fmt: skip
-def test_the_brake_holds_a_load_that_is_at_rest_with_the_drive_off(
-    known: bool, braked: bool, rests: bool, settles: bool, by: HeldBy
-) -> None:
-    found = held_by(Mode.HOLD, known=known, braked=braked, rests=rests, settles=settles, taking=False, powered=False)
-    assert found is by
-
-
 @pytest.mark.parametrize("action", Action)
 def test_what_took_the_power_off_is_armed_anew(action: Action) -> None:
     machine = Machine()
-    machine.mode, machine.armed = Mode.HOLD, True
+    machine.mode, machine.sequence = Mode.HOLD, Sequence(armed=True)
     machine.trip(Trip(Fault.LIMIT, 1.0, 0.0, action), 0)
-    assert machine.armed is (action < Action.QUICK_STOP)
+    assert machine.sequence.armed is (action < Action.QUICK_STOP)
 
 
 ACCEPTED = {
@@ -289,8 +273,10 @@ def armed() -> MachineLog:
 def test_arming_ends_when_the_drive_is_enabled_or_gives_up() -> None:
     machine = MachineLog()
     machine.command(7, Verb.ARM, READY, 0)
-    assert machine.arming
+    assert machine.sequence.pending is Verb.ARM
     assert machine.mode == Mode.DISARMED
+    assert machine.power(0, drive_enabled=False, drive_faulted=False) is Power.OFF
+    machine.prepared(0)
     assert machine.power(0, drive_enabled=False, drive_faulted=False) is Power.ON
     machine.follow_drive(False, ARM_LIMIT_NS)
     assert machine.answers[-1].refusal is Refusal.DRIVE_TIMEOUT
@@ -315,14 +301,14 @@ def test_a_drive_that_dropped_out_is_not_switched_on_again_by_itself() -> None:
 def test_a_trial_is_answered_when_it_is_over_or_when_anything_comes_in_between(verb: Verb, what: str) -> None:
     machine = armed()
     machine.command(2, verb, replace(READY, armed=True), 5)
-    assert (machine.trial, machine.answers) == (verb, [])
+    assert (machine.sequence.trial, machine.answers) == (verb, [])
     if what == "command":
         machine.command(3, Verb.HOLD, READY, 6)
     elif what == "trip":
         machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0), 6)
     else:
         machine.stop()
-    assert machine.trial is None
+    assert machine.sequence.trial is None
     assert machine.answers[0] == Answer(2, verb, Refusal.ABORTED)
 
 
@@ -357,7 +343,7 @@ def test_a_limit_may_have_the_tension_ramped_down_and_the_fault_stays_latched_to
     machine.on(Event.SLACK)
     assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.LIMIT)
     machine.command(4, Verb.RESET, latched, 13)
-    assert (machine.mode, machine.fault, machine.action) == (Mode.HOLD, Fault.NONE, Action.HOLD)
+    assert (machine.mode, machine.fault, machine.sequence.action) == (Mode.HOLD, Fault.NONE, Action.HOLD)
 
 
 @pytest.mark.parametrize("how", ["hold", "trip", "stop"])
@@ -379,7 +365,7 @@ def test_a_ramp_down_is_ended_by_a_hold_a_stronger_trip_or_a_stop_and_holds_at_f
 def test_a_ramp_down_is_a_hold_where_there_is_nothing_to_ramp(slack: bool) -> None:
     machine = compensating() if slack else MachineLog()
     assert machine.trip(WARM, 10, slack=slack)
-    assert (machine.mode, machine.action) == (Mode.FAULT, Action.HOLD)
+    assert (machine.mode, machine.sequence.action) == (Mode.FAULT, Action.HOLD)
 
 
 def test_a_power_off_at_once_does_not_wait_for_a_stop_even_of_one_under_way() -> None:
@@ -422,8 +408,8 @@ def parked() -> MachineLog:
 def test_a_parked_hold_is_left_once_the_motor_has_the_load(verb: Verb, mode: Mode) -> None:
     machine = parked()
     machine.command(2, verb, READY, 10)
-    assert (machine.mode, machine.pending, machine.answers) == (Mode.HOLD, verb, [])
-    machine.switch_on(11)
+    assert (machine.mode, machine.sequence.pending, machine.answers) == (Mode.HOLD, verb, [])
+    machine.prepared(11)
     assert machine.power(12, drive_enabled=False, drive_faulted=False) is Power.ON
     machine.follow_drive(True, 12)
     assert (machine.mode, machine.answers) == (mode, [Answer(2, verb, Refusal.NONE)])
@@ -434,9 +420,9 @@ def test_a_parked_hold_is_left_once_the_motor_has_the_load(verb: Verb, mode: Mod
 def test_a_trial_that_moves_begins_once_the_motor_has_the_load(verb: Verb) -> None:
     machine = parked()
     machine.command(2, verb, READY, 10)
-    assert machine.trial is None
+    assert machine.sequence.trial is None
     machine.follow_drive(True, 12)
-    assert (machine.trial, machine.answers) == (verb, [])
+    assert (machine.sequence.trial, machine.answers) == (verb, [])
     machine.park()
     assert machine.answers == [Answer(2, verb, Refusal.ABORTED)]
 
@@ -445,7 +431,7 @@ def test_a_trial_that_moves_begins_once_the_motor_has_the_load(verb: Verb) -> No
 def test_a_measurement_at_rest_needs_no_power(verb: Verb) -> None:
     machine = parked()
     machine.command(2, verb, READY, 10)
-    assert (machine.trial, machine.drive_wanted) == (verb, False)
+    assert (machine.sequence.trial, machine.sequence.motor) == (verb, False)
 
 
 @pytest.mark.parametrize("verb", [Verb.HOLD, Verb.DISARM, Verb.RELEASE, Verb.TARGET])
@@ -465,9 +451,9 @@ def test_a_command_meanwhile_leaves_the_load_on_the_brake(verb: Verb) -> None:
 def test_a_ramp_down_of_a_parked_load_is_a_hold() -> None:
     machine = parked()
     assert machine.trip(WARM, 10, slack=False)
-    assert (machine.mode, machine.action) == (Mode.FAULT, Action.HOLD)
-    machine.command(3, Verb.RESET, replace(READY, armed=machine.armed), 11)
-    assert (machine.mode, machine.drive_wanted) == (Mode.HOLD, False)
+    assert (machine.mode, machine.sequence.action) == (Mode.FAULT, Action.HOLD)
+    machine.command(3, Verb.RESET, replace(READY, armed=machine.sequence.armed), 11)
+    assert (machine.mode, machine.sequence.motor) == (Mode.HOLD, False)
 
 
 SLIPS = Trip(Fault.STROKE_MOVES, 0.3, 0.2, Action.POWER_OFF)
@@ -477,32 +463,36 @@ def test_the_motor_carries_for_a_stated_time_though_the_slip_goes_on() -> None:
     machine = parked()
     machine.trip(SLIPS, 10)
     machine.command(3, Verb.CARRY, READY, 20)
-    machine.switch_on(21)
+    machine.prepared(21)
     assert not machine.trip(SLIPS, 22), "that is why the motor takes the load"
     assert machine.power(22, drive_enabled=False, drive_faulted=False) is Power.ON
     machine.follow_drive(True, 30)
-    assert (machine.mode, machine.fault, machine.carry_until_ns) == (Mode.FAULT, Fault.STROKE_MOVES, 30 + 60 * 10**9)
-    machine.lower(machine.carry_until_ns)
-    assert (machine.mode, machine.action) == (Mode.RELEASING, Action.RAMP_DOWN)
+    assert (machine.mode, machine.fault, machine.sequence.carry_until_ns) == (
+        Mode.FAULT,
+        Fault.STROKE_MOVES,
+        30 + 60 * 10**9,
+    )
+    machine.lower(machine.sequence.carry_until_ns)
+    assert (machine.mode, machine.sequence.action) == (Mode.RELEASING, Action.RAMP_DOWN)
     machine.on(Event.SLACK)
-    assert (machine.mode, machine.fault, machine.carry_until_ns) == (Mode.FAULT, Fault.STROKE_MOVES, 0)
+    assert (machine.mode, machine.fault, machine.sequence.carry_until_ns) == (Mode.FAULT, Fault.STROKE_MOVES, 0)
 
 
 def test_any_other_trip_ends_a_carry() -> None:
     machine = parked()
     machine.trip(SLIPS, 10)
     machine.command(3, Verb.CARRY, READY, 20)
-    machine.switch_on(21)
+    machine.prepared(21)
     machine.follow_drive(True, 30)
     assert machine.trip(Trip(Fault.DRIVE_NOT_FOLLOWING, 1.0, 0.5, Action.POWER_OFF), 40)
-    assert (machine.carry_until_ns, machine.drive_wanted) == (0, False)
+    assert (machine.sequence.carry_until_ns, machine.sequence.motor) == (0, False)
 
 
 def test_a_carry_whose_drive_does_not_come_on_has_the_brake_closed() -> None:
     machine = parked()
     machine.trip(SLIPS, 10)
     machine.command(3, Verb.CARRY, READY, 20)
-    machine.switch_on(21)
+    machine.prepared(21)
     machine.follow_drive(False, 21 + ARM_LIMIT_NS)
     assert machine.answers[-1].refusal is Refusal.DRIVE_TIMEOUT
     assert machine.power(22 + ARM_LIMIT_NS + CUT_AFTER_NS, drive_enabled=True, drive_faulted=False) is Power.CUT
@@ -523,7 +513,7 @@ def test_a_reset_of_a_drive_at_fault_is_answered_when_the_drive_has_left_it() ->
     for t_ns in range(100, DRIVE_RESET_NS, DRIVE_RESET_NS // 100):
         machine.follow_drive(False, t_ns, drive_faulted=True)
         assert (machine.mode, machine.fault) == (Mode.FAULT, Fault.CELL_STALE)
-    assert not machine.taking, "the motor is not commanded on"
+    assert not machine.sequence.taking, "the motor is not commanded on"
     assert machine.answers == []
     machine.follow_drive(False, DRIVE_RESET_NS, drive_faulted=False)
     assert (machine.mode, machine.fault) == (Mode.DISARMED, Fault.NONE)
@@ -549,7 +539,7 @@ def test_a_disarm_is_answered_when_the_drive_is_off_or_has_not_been_in_its_time(
         assert machine.answers == []
     machine.follow_off(100 + OFF_LIMIT_NS, off=off)
     assert machine.answers == [Answer(2, Verb.DISARM, refusal)]
-    assert not machine.disarming
+    assert not machine.sequence.disarming
 
 
 @pytest.mark.parametrize("verb", [Verb.HOLD, Verb.TENSION, Verb.RELEASE, Verb.MOVE])
@@ -558,7 +548,7 @@ def test_a_command_that_the_mode_refuses_leaves_a_disarm_as_it_is(verb: Verb) ->
     machine = armed()
     machine.command(2, Verb.DISARM, READY, 100)
     assert machine.command(3, verb, READY, 101) is Refusal.WRONG_MODE
-    assert machine.disarming
+    assert machine.sequence.disarming
     machine.follow_off(102, off=True)
     assert machine.answers == [Answer(3, verb, Refusal.WRONG_MODE), Answer(2, Verb.DISARM, Refusal.NONE)]
 
@@ -567,10 +557,10 @@ def test_a_command_that_the_mode_refuses_leaves_a_waiting_one_and_a_trial_as_the
     machine = MachineLog()
     machine.command(1, Verb.TARE, READY, 0)
     assert machine.command(2, Verb.TENSION, READY, 1) is Refusal.WRONG_MODE
-    assert machine.trial is Verb.TARE
+    assert machine.sequence.trial is Verb.TARE
     assert machine.command(3, Verb.ARM, READY, 2) is None, "an accepted one ends the trial"
     assert machine.command(4, Verb.RELEASE, READY, 3) is Refusal.WRONG_MODE
-    assert machine.arming
+    assert machine.sequence.pending is Verb.ARM
     assert machine.command(5, Verb.HOLD, READY, 4) is Refusal.NONE, "HOLD ends it, in any mode"
     assert [(answer.id, answer.refusal) for answer in machine.answers] == [
         (2, Refusal.WRONG_MODE), (1, Refusal.ABORTED), (4, Refusal.WRONG_MODE), (3, Refusal.ABORTED), (5, Refusal.NONE)
@@ -607,7 +597,7 @@ def test_an_arming_drive_is_watched_as_in_hold() -> None:
     machine = MachineLog()
     assert machine.watched_mode is Mode.DISARMED
     machine.command(1, Verb.ARM, READY, 0)
-    machine.switch_on(1)
+    machine.prepared(1)
     assert (machine.mode, machine.watched_mode) == (Mode.DISARMED, Mode.HOLD)
 
 
@@ -649,12 +639,13 @@ def test_whatever_happens_a_fault_stays_until_a_reset_and_every_command_is_answe
         else:
             machine.follow_drive(what, t)
         if before is Mode.FAULT and machine.mode is not Mode.FAULT:
-            assert what is Verb.RESET or (machine.mode is Mode.RELEASING and machine.carry_until_ns)
+            assert what is Verb.RESET or (machine.mode is Mode.RELEASING and machine.sequence.carry_until_ns)
         latched = machine.fault is not Fault.NONE
         assert machine.mode is not Mode.FAULT or latched
         assert not latched or machine.mode in (Mode.FAULT, Mode.RELEASING)
-        assert not latched or machine.mode is Mode.FAULT or machine.action is Action.RAMP_DOWN
-        assert machine.mode is not Mode.DISARMED or not machine.drive_wanted
+        assert not latched or machine.mode is Mode.FAULT or machine.sequence.action is Action.RAMP_DOWN
+        assert machine.mode is not Mode.DISARMED or not machine.sequence.motor
+    machine.follow_drive(False, ARM_LIMIT_NS)
     machine.follow_drive(False, ARM_LIMIT_NS * 2)
     machine.follow_off(OFF_LIMIT_NS * 2, off=False)
     machine.end_trial(Refusal.NONE)

@@ -14,11 +14,11 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.faults import Fault
-from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.devices.drive import Power
 from tests.builders.outcomes import MachineLog, WatchLog
 from tests.builders.paths import ROOT
@@ -137,8 +137,8 @@ class Rig(RuleBasedStateMachine):
             return
         self.give(Verb.RESET, 0.0)
         machine = self.machine
-        silent = machine.action is Action.SILENCE  # its fault is shown until the loop has ended
-        kept = machine.stopping or silent or machine.mode is not Mode.FAULT or machine.carry_until_ns
+        silent = machine.sequence.action is Action.SILENCE  # its fault is shown until the loop has ended
+        kept = machine.sequence.ends or silent or machine.mode is not Mode.FAULT or machine.sequence.carry_until_ns
         assert machine.fault is Fault.NONE or kept
 
     @rule(action=st.sampled_from(list(Action)[1:]))
@@ -149,7 +149,7 @@ class Rig(RuleBasedStateMachine):
     @precondition(lambda self: self.machine.mode in (Mode.HOLD, Mode.FAULT))
     def parks(self) -> None:
         self.machine.park()
-        assert self.power() is not Power.ON or self.machine.taking
+        assert self.power() is not Power.ON or self.machine.sequence.taking
 
     @rule(ticks=st.integers(1, 250))
     def time_passes(self, ticks: int) -> None:
@@ -161,8 +161,8 @@ class Rig(RuleBasedStateMachine):
     @precondition(lambda self: self.asked > 15)
     def stop(self) -> None:
         self.machine.stop()
-        assert not (self.machine.arming or self.machine.disarming)
-        assert self.machine.trial is None
+        assert not (self.machine.sequence.pending is Verb.ARM or self.machine.sequence.disarming)
+        assert self.machine.sequence.trial is None
 
     # -- helpers ----------------------------------------------------------------------------------------------
     def power(self) -> Power:
@@ -175,18 +175,18 @@ class Rig(RuleBasedStateMachine):
         failing = bool(self.watch.beyond(self.snapshot, Mode.HOLD)) or self.faulted
         situation = Situation(
             failed_checks=int(failing), causes=int(present is not Fault.NONE),
-            fault=machine.fault, armed=machine.armed,
+            fault=machine.fault, armed=machine.sequence.armed,
             drive_faulted=self.faulted, slack=self.slack, unloaded=self.slack, wanted_n=value,
-            measured_mm=value, carry_s=value, carried_s=float(machine.carry_until_ns > 0),
+            measured_mm=value, carry_s=value, carried_s=float(machine.sequence.carry_until_ns > 0),
             needs_tight=bool(value), target_min_n=50.0, target_max_n=350.0,
         )  # fmt: skip
         machine.command(self.asked, verb, situation, self.t_ns)
         ours = [answer for answer in machine.answers[answers:] if answer.id == self.asked]
-        if machine.pending is verb and not ours and not machine.resetting:
+        if machine.sequence.pending is verb and not ours and not machine.sequence.resetting:
             assert verb is not Verb.ARM or (before is Mode.DISARMED and not failing)
             assert before is not Mode.DISARMED or verb is Verb.ARM
             self.on_allowed = True
-            machine.switch_on(self.t_ns)
+            machine.prepared(self.t_ns)
         accepted = bool(ours) and ours[0].refusal is Refusal.NONE
         if verb is Verb.RESET and accepted:
             assert present is Fault.NONE
@@ -197,17 +197,17 @@ class Rig(RuleBasedStateMachine):
     def trip(self, trip: Trip) -> None:
         """The strongest trip stands: a weaker one's action changes nothing afterwards."""
         machine = self.machine
-        mode, fault, action, powered = machine.mode, machine.fault, machine.action, machine.drive_wanted
+        mode, fault, action, powered = machine.mode, machine.fault, machine.sequence.action, machine.sequence.motor
         changed = machine.trip(trip, self.t_ns, slack=self.slack)
         assert machine.fault is not Fault.NONE
         assert fault in (Fault.NONE, machine.fault)
         if fault is not Fault.NONE:
-            assert machine.action >= action
+            assert machine.sequence.action >= action
         ramps = trip.action is Action.RAMP_DOWN and not self.slack and mode in (Mode.HOLD, *MOVING) and powered
         if changed:
             assert machine.mode is (Mode.RELEASING if ramps else Mode.FAULT)
-            assert not machine.arming
-            assert machine.trial is None
+            assert machine.sequence.pending is not Verb.ARM
+            assert machine.sequence.trial is None
         if trip.action >= Action.QUICK_STOP:
             self.on_allowed = False
             assert self.power() is not Power.ON
@@ -216,7 +216,7 @@ class Rig(RuleBasedStateMachine):
         self.t_ns += MS
         self.snapshot.t_ns = self.t_ns
         self.snapshot.drive_enabled, self.snapshot.drive_faulted = self.enabled, self.faulted
-        self.snapshot.drive_wanted = self.machine.drive_wanted
+        self.snapshot.drive_wanted = self.machine.sequence.motor
         self.snapshot.drive_off = not self.enabled
         mode = self.machine.mode
         found = self.watch.trips(self.snapshot, mode, self.t_ns)
@@ -227,7 +227,7 @@ class Rig(RuleBasedStateMachine):
         self.drive_is_followed()
 
     def drive_is_followed(self) -> None:
-        machine, resetting = self.machine, self.machine.resetting
+        machine, resetting = self.machine, self.machine.sequence.resetting
         cause = self.watch.present(self.snapshot) is not Fault.NONE
         if machine.follow_drive(self.enabled, self.t_ns, drive_faulted=self.faulted, cause_present=cause):
             assert resetting
@@ -259,10 +259,10 @@ class Rig(RuleBasedStateMachine):
         machine = self.machine
         if fault is not Fault.NONE and not self.reset_given:
             assert machine.fault is fault, "the first names it"
-            eased = machine.taking or machine.carry_until_ns  # by CARRY or LOWER
-            assert eased or machine.action >= action
+            eased = machine.sequence.taking or machine.sequence.carry_until_ns  # by CARRY or LOWER
+            assert eased or machine.sequence.action >= action
             assert mode is not Mode.FAULT or machine.mode is (Mode.RELEASING if eased else Mode.FAULT) or eased
-        self.before, self.reset_given = (machine.mode, machine.fault, machine.action), False
+        self.before, self.reset_given = (machine.mode, machine.fault, machine.sequence.action), False
 
     @invariant()
     def what_is_latched_holds_or_ramps_down(self) -> None:
@@ -270,23 +270,25 @@ class Rig(RuleBasedStateMachine):
         latched = machine.fault is not Fault.NONE
         assert latched == (machine.mode is Mode.FAULT or (machine.mode is Mode.RELEASING and latched))
         if latched and machine.mode is Mode.RELEASING:
-            assert machine.action is Action.RAMP_DOWN
+            assert machine.sequence.action is Action.RAMP_DOWN
 
     @invariant()
     def only_arming_powers_the_drive(self) -> None:
         machine, power = self.machine, self.power()
         if machine.mode is Mode.DISARMED:
-            assert not machine.drive_wanted
-            assert power is not Power.ON or machine.arming
+            assert not machine.sequence.motor
+            assert power is not Power.ON or machine.sequence.pending is Verb.ARM
         if power is Power.ON:
             assert self.on_allowed
-            assert machine.taking or self.enabled, "a drive that dropped out stays out"
-        if machine.mode is Mode.FAULT and machine.action >= Action.QUICK_STOP:
+            assert machine.sequence.taking or self.enabled, "a drive that dropped out stays out"
+        if machine.mode is Mode.FAULT and machine.sequence.action >= Action.QUICK_STOP:
             assert power in (Power.QUICK_STOP, Power.CUT, Power.RESET, Power.RESET_LOW)
         if power is Power.CUT:
-            assert machine.action is Action.POWER_OFF
+            assert machine.sequence.action is Action.POWER_OFF
         if power in (Power.RESET, Power.RESET_LOW):
-            assert self.faulted and (machine.resetting or (machine.taking and machine.carries))
+            assert self.faulted and (
+                machine.sequence.resetting or (machine.sequence.taking and machine.sequence.carries)
+            )
 
     @invariant()
     def every_change_of_mode_is_told(self) -> None:
@@ -301,7 +303,7 @@ class Rig(RuleBasedStateMachine):
         self.machine.end_trial(Refusal.ABORTED)
         self.machine.follow_drive(False, self.t_ns + 2 * ARM_LIMIT_NS)
         self.machine.follow_off(self.t_ns, off=True)
-        assert not (self.machine.disarming or self.machine.pending)
+        assert not (self.machine.sequence.disarming or self.machine.sequence.pending)
         assert sorted(answer.id for answer in self.machine.answers) == list(range(1, self.asked + 1))
 
 
