@@ -5,32 +5,21 @@ from __future__ import annotations
 import sys
 from itertools import product
 
-from rigctl.control import load_at_rest
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS
-from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
-from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
-from rigctl.control.ending import LIMIT_S, WAITS_NS
+from rigctl.control.arming import AWAIT_NS
 from rigctl.control.escalation import STEPS
-from rigctl.control.faults import Trait, having
-from rigctl.control.loop import SAFE_FRAMES
-from rigctl.control.machine import LOWERED_NS
-from rigctl.control.modes import CARRY_S, TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Refusal, Verb, decide
-from rigctl.control.orders import RECHECK_NS
-from rigctl.control.parking import REST_NS, UNDO_MM
-from rigctl.control.power_seen import SETTLES_NS, STILL_NS, UNDO_NS
-from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S, Action
+from rigctl.control.loop import SAFE_FRAMES, STOP_LIMIT_NS
+from rigctl.control.machine import SUPERVISED_NS
+from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Refusal, Verb, decide
+from rigctl.control.power_seen import SETTLES_NS, STILL_NS
+from rigctl.control.safety import Action
 from rigctl.control.situation import Situation
 from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
-from rigctl.control.tension import PAYS_OUT_MM_S
 
-_LOAD_REST_S = load_at_rest.REST_NS * 1e-9
-_ENDS = "\n".join(f"- {fault.name}" for fault in sorted(having(Trait.STOPS_CARRYING)))
-_TRIALS = "`identify` and `response`"
 _HEAD = f"""\
 # Modes
 
-Generated from `rigctl/control/modes.py` by `python -m rigctl.control.diagram`; a test holds this file to it.
+Generated from the tables of `rigctl/control/modes.py`, `stage.py` and `escalation.py` by
+`python -m rigctl.control.diagram`; a test holds this file to it.
 
 Every change of mode is an event that names both modes, what caused it, and how many commands of no speed went out in a
 row before it. {SAFE_FRAMES} such safe frames are sent before the drive is switched on, and as many, at standstill,
@@ -83,6 +72,21 @@ What ends the wait of a command, and the motor's hold, in order:
 | stage | when | then | answer |
 |---|---|---|---|
 """
+_OVER_TIME = f"""
+Who holds the load over time:
+
+| way | first | then | at last |
+|---|---|---|---|
+| parking, `disarm`, end | STOP: the motor, until the stroke is at rest, at most {STOP_LIMIT_NS * 1e-9:g} s | STOP: \
+the brake closes, the motor holds until it has | OFF: the brake |
+| `quick_stop` | QUICK: the motor, on the drive's own ramp | QUICK: the drive closes its brake | QUICK: the brake |
+| `power_off` | QUICK: the motor, on the drive's own ramp, for the longest stop of the rig file | \
+CUT: no torque, the brake closes | CUT: the brake |
+| `silence` | SILENT: power cut by SDO, NMT stop | SILENT: the drive's own supervision, for \
+{SUPERVISED_NS * 1e-9:g} s at most | SILENT: the brake |
+| taking back, `arm` | PREPARE: the brake, at most {AWAIT_NS * 1e-9:g} s, or its test | ENABLE: the brake opens once \
+the motor has torque, at most {ARM_LIMIT_NS * 1e-9:g} s | RUN: the motor |
+"""
 _HOLDS = {
     DriveStage.OFF: "the brake",
     DriveStage.STOP: "the motor, then the brake",
@@ -113,98 +117,7 @@ the load is at rest (`load_at_rest`); DISARMED, and a parked HOLD or FAULT |
 brake |
 | `NOTHING` | moved by the motor | TENSIONING, COMPENSATING, RELEASING |
 
-Two statements are made beside it, each with what shows it. `power_off`: a drive that was commanded off has no power
-([operate.md](operate.md#modes)). `load_at_rest`: the load has been at rest for {_LOAD_REST_S:g} s, by the tension,
-which has stayed within {load_at_rest.REST_MM:g} mm of stretch, by the stroke, or by both; `MOVES` if one that is seen
-moves; `UNKNOWN` if neither is seen. A cell that is stale or in doubt shows nothing, nor does a slack rope. On the
-closed brake a load that begins to move is an event, and so is its rest.
-
-A stroke that is still not at rest {REST_NS * 1e-9:g} s after a stop should have ended is parked all the same: the
-drive's own stop and brake end it. {_TRIALS} have the motor hold by name and for a stated time, then the load is parked
-again; `tare` and `calibrate` measure on the brake, which takes the load for them at standstill. A rig without a brake
-(`cylinder.brake_waiver`) is held by the motor.
-
-`release` MM pays out so much of a slack rope, in HOLD, at {PAYS_OUT_MM_S:g} mm/s: the way back of a cylinder that has
-reached the end of its stroke without a load (`reset`, or `arm --near-end`, leads to HOLD).
-
-`tension`, `release`, {_TRIALS} take a parked load back first: drive on, motor carries, brake open, motion. The command
-is answered when the motion begins, with "taking the load from the brake" and the time that it took. A refusal leaves
-the brake closed. While the drive comes on, also by `arm`, the rows of HOLD are watched: a loss is a FAULT, and the
-brake closes.
-
-| check | at `arm` | when a parked load is taken back |
-|---|---|---|
-| devices and signals: fresh, valid, operational, within their limits | yes | each time, until the drive has its power |
-| standstill, drive off, brake closed | yes | each time, within {AWAIT_NS * 1e-9:g} s |
-| drive enabled within {ARM_LIMIT_NS * 1e-9:g} s | yes | each time |
-| every supervised object read back | yes | after {RECHECK_NS // 60_000_000_000} min on the brake, and once after a \
-fault; else one object after the other, all the time |
-| brake test (SBT), {BRAKE_TEST_NS * 1e-9:g} s | yes | never: a parked load that stays where it is tests the brake |
-| computer, calibration, distance from the ends of the stroke | yes | never: nothing of it has changed since |
-
-A parking whose brake slips in its first second is undone: if, within {UNDO_NS * 1e-9:g} s, stroke and tension both
-show that the load has sunk by {UNDO_MM:g} mm, and no other cause is active, the fault BRAKE_SLIPS is latched, and the
-motor takes the load back and holds it as by `carry`, for {LOWERED_NS // 60_000_000_000} min. If the load sinks later,
-or if only one of the two shows it, the drive stays off until the operator gives `carry` or `lower`.
-
-## A brake that slips
-
-A stroke that moves on the closed brake, faster than {SINK_MM_S:g} mm/s over 5 s or {BRAKE_SLIP_MM_S:g} mm/s at once, is
-STROKE_MOVES in every mode that keeps the stroke, with its speed and the time until the rope is slack. No `reset` is
-accepted while the load sinks.
-
-It also sets the flag `brake_fails`: the brake is known not to hold. BRAKE_SLIPS sets it too, as do a net motion of
-{MOVED_MM:g} mm on the closed brake since the stroke was last commanded to move, and a tension that has lost
-{FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s while the encoder is in doubt. No reset clears it, nor
-does a start of the daemon, only a brake test: {LONG_TEST_NS * 1e-9:g} s of `arm` with at least {TESTED_SHARE:.0%} of
-the load at which the brake slipped (of `tension.target_max_n` where that is not known). If the load moves in that test,
-the motor takes it. With a slack rope the flag stays, and `arm` is accepted; `tension` then ends in HOLD in place of
-COMPENSATING, for `brake-test`: with the payload supported from below, the brake has the load for the same
-{LONG_TEST_NS * 1e-9:g} s, and the motor takes it back, in FAULT where it has moved by {BRAKE_TEST_MM:g} mm.
-
-While the flag is set the operator has two commands in FAULT, HOLD and DISARMED; outside FAULT they latch BRAKE_SLIPS
-first:
-
-- `carry` SECONDS (operator, with the lease): the motor takes the load and holds it for {CARRY_S[0]:g} to
-  {CARRY_S[1]:g} s; the fault stays latched and shown. `reset` is refused meanwhile; `carry` again prolongs it. When its
-  time is over the motor lowers the load. `disarm` gives it back to the brake.
-- `lower`, or `release` while the motor carries the load: the motor lowers it until the rope is slack. A `hold` stops
-  it, and the motor carries for {LOWERED_NS // 60_000_000_000} min.
-
-Both follow one witness where the other is in doubt: the encoder alone lowers at {LOWERS_MM_S:g} mm/s, until the rope is
-slack by its last credible tension and {SPARE_MM:g} mm more. Where encoder and tension disagree by themselves the
-command is refused, and the operator names one (`--by encoder`, `--by cell`). A fault of the drive's own is cleared by
-the command, once, but for those of feedback, brake and power stage. Only what concerns moving the load stops the motor,
-by quick stop:
-
-{_ENDS}
-
-and a tension that is for {FOLLOWS_NS * 1e-9:g} s more than {FOLLOWS_MM:g} mm from the commanded stroke where it alone
-is followed. Everything else is reported. Without the flag, and in FAULT, `carry` needs both witnesses, and any other
-cause gives the load back to the brake.
-
-An end in order does not give the load back either. The record's flag `carries` is set while the motor carries or lowers
-a load, or has a tight rope with a brake known not to hold. The loop then goes on for {WAITS_NS * 1e-9:g} s after the
-request, has the motor lower the load as by `lower` (outside FAULT BRAKE_SLIPS is latched first), and ends once the rope
-is slack. It ends earlier when the motor has the load no more, or by a second request, which leaves the load, and after
-{LIMIT_S:g} s in any case ([operate.md](operate.md#an-end-while-the-motor-carries)).
-"""
-_HELD = f"""
-## The stroke that is held
-
-HOLD, FAULT and DISARMED keep the stroke. It is latched where it comes to rest once such a mode begins, again when the
-motor has taken the load, after a trial that moved it, and when a fault is reset. While the motor holds, a position
-loop brings the stroke back to its latch at no more than {AUTHORITY_MM_S:g} mm/s (a drive that needs more trips
-DRIVE_NOT_FOLLOWING); an event reports a drive that goes on needing more than {CREEP_MM_S:g} mm/s, and once a stroke
-more than {SAID_MM:g} mm from the latch. Beyond {NOT_HELD_MM:g} mm the drive is taken off power and its brake closes
-(STROKE_NOT_HELD): the stroke then stands within 1 mm.
-
-The encoder alone does not keep a load. While the motor holds, the tension is latched with the stroke, and the two check
-each other by the stiffness without a memory that leaks. Where they disagree nothing is moved: the brake takes the load
-(STRETCH_UNEXPLAINED). A cell that has stopped measuring denies nothing either, so the correction is bounded by its sum:
-beyond {CORRECTED_MM:g} mm the brake takes the load (POSITION_DRIFTS), be it the drive that creeps or the encoder that
-drifts. On the brake a tension that falls is a load that sinks (LOAD_SINKS), DISARMED too. A rope that carried and is
-slack has lost its load (TENSION_LOW), however fast, in HOLD and FAULT. `rigctl check` prints the limits for its rig.
+What shows that the load is held, and what happens where it is not: [load.md](load.md).
 """
 _ESCALATION = """
 ## When a reaction does not help
@@ -243,7 +156,7 @@ def document() -> str:
     parts += ["", "## Actions of the safety table, the weakest first", ""]
     parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
     steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
-    return "\n".join(parts) + "\n" + _stages() + _PARKED + _HELD + _ESCALATION + "\n".join(steps) + "\n"
+    return "\n".join(parts) + "\n" + _stages() + _PARKED + _ESCALATION + "\n".join(steps) + "\n"
 
 
 def _stages() -> str:
@@ -258,7 +171,7 @@ def _stages() -> str:
     parts += ["```", "", "| stage | meaning | the load is held by |", "|---|---|---|"]
     parts += [f"| {stage.name} | {stage.value} | {_HOLDS[stage]} |" for stage in DriveStage]
     rows = [f"| {row.stage.name} | {row.words} | {_leads_to(row)} | {_answer(row.answer)} |" for row in ROWS]
-    return "\n".join(parts) + "\n" + _ROWS_HEAD + "\n".join(rows) + "\n"
+    return "\n".join(parts) + "\n" + _OVER_TIME + _ROWS_HEAD + "\n".join(rows) + "\n"
 
 
 def _leads_to(row: StageRow) -> str:

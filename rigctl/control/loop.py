@@ -455,10 +455,9 @@ class Loop:
             since_s = self.observer.power_off.since_s(snapshot.t_ns)
             self._logbook.notice(t_ns, Kind.POWER_OFF, snapshot.power_off, int(self.brake.fails), value=since_s)
         if snapshot.held_by is not before and not machine.mode.moves_stroke:
-            text = (machine.sequence.trial or machine.sequence.pending or machine.mode).name.encode()
-            until_ns = (
-                self._orders.powered_until_ns if machine.sequence.trial is not None else machine.sequence.carry_until_ns
-            )
+            at = machine.sequence
+            text = (at.trial or at.pending or machine.mode).name.encode()
+            until_ns = self._orders.powered_until_ns if at.trial is not None else at.carry_until_ns
             left_s = max(0, until_ns - t_ns) * 1e-9
             self._logbook.held(t_ns, before, snapshot.held_by, left_s, text)
         braked = self.observer.snapshot.power.braked and before in _ON_BRAKE and snapshot.held_by in _ON_BRAKE

@@ -175,7 +175,7 @@ class Machine:
             situation,
             ends=at.ends,
             silent=at.silent,
-            left_alone=t_ns - at.silent_ns >= SUPERVISED_NS,
+            left_alone=t_ns - at.since_ns >= SUPERVISED_NS,
             powered=at.motor,
             pending=situation.pending if at.pending is None else at.pending,
             disarming=at.disarming,

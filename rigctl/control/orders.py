@@ -100,7 +100,6 @@ class Orders:
         self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
         self._brake, self._carried, self._rope = brake, carried, rope
         self._waiting: _Waiting | None = None
-        self._parked_ns: int | None = None  # when the brake took the load of an armed rig
         self._recheck = False  # a fault has been reset since the last read-back of every object
         self.powered_until_ns = 0
         """The motor may hold until then for the trial under way; 0: the trial needs no power."""
@@ -137,8 +136,6 @@ class Orders:
     def attend(self, t_ns: int) -> None:
         """Go on with a waiting command, what the displays offer, and the trial, answered once it has ended."""
         machine = self._machine
-        parked = machine.sequence.armed and self._observer.snapshot.power.braked
-        self._parked_ns = (self._parked_ns or t_ns) if parked else None
         if self._waiting is not None:
             self._go_on_waiting(self._waiting, t_ns)
         if t_ns >= self._look_ns:
@@ -313,15 +310,15 @@ class Orders:
 
     def _reads_first(self, verb: Verb, t_ns: int) -> bool:
         """Every supervised object is read before this command, if it is accepted."""
-        machine = self._machine
-        if machine.sequence.pending or not (self._readback.size and self._verified_at_start):
+        machine, at = self._machine, self._machine.sequence
+        if at.pending or not (self._readback.size and self._verified_at_start):
             return False
         if verb is Verb.ARM:
             return True
         needs_motor = verb in modes.NEEDS_MOTOR and verb not in modes.CARRIES
-        if not needs_motor or machine.mode is not Mode.HOLD or self._parked_ns is None:
+        if not needs_motor or machine.mode is not Mode.HOLD or not (at.armed and at.off):
             return False
-        return self._recheck or t_ns - self._parked_ns >= RECHECK_NS
+        return self._recheck or t_ns - at.since_ns >= RECHECK_NS
 
     def _go_on_waiting(self, waiting: _Waiting, t_ns: int) -> None:
         """Carry the command out once everything is read back, or refuse; the other checks are evaluated again."""

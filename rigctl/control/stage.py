@@ -126,11 +126,11 @@ class Sequence:
     ``base``: the stage while no command waits for another. ``step``: the stage in which a command waits.
     ``command``: the one that waits for the drive. ``until_ns``: by when it has to be carried out, or the process to
     end. ``tried``: the trial. ``action``: reaction to the latched fault; it may grow stronger while the fault is
-    latched, and weaker only by CARRY and LOWER. ``cut_ns``: from when `power_off` cuts the power. ``silent_ns``: when
-    the silence began. ``armed``: by ARM, and neither disarmed nor taken off power since, so that a reset leads to HOLD.
-    ``carry_until_ns``: in FAULT the motor holds until then and then lowers the load, because the brake does not hold;
-    0: no. ``ends``: the process ends. ``anew``: a reset of the silence is accepted: the loop ends, and start-up brings
-    all devices up again.
+    latched, and weaker only by CARRY and LOWER. ``cut_ns``: from when `power_off` cuts the power. ``since_ns``: when
+    OFF or SILENT began. ``armed``: by ARM, and neither disarmed nor taken off power since, so that a reset leads to
+    HOLD. ``carry_until_ns``: in FAULT the motor holds until then and then lowers the load, because the brake does not
+    hold; 0: no. ``ends``: the process ends. ``anew``: a reset of the silence is accepted: the loop ends, and start-up
+    brings all devices up again.
     """
 
     base: DriveStage = DriveStage.STOP
@@ -140,7 +140,7 @@ class Sequence:
     until_ns: int = 0
     action: Action = Action.HOLD
     cut_ns: int = 0
-    silent_ns: int = 0
+    since_ns: int = 0
     armed: bool = False
     carry_until_ns: int = 0
     ends: bool = False
@@ -203,8 +203,8 @@ def after(at: Sequence, input_: Input, t_ns: int, **changes: Any) -> Sequence:
         changes |= {"until_ns": t_ns + ARM_LIMIT_NS, "action": Action.HOLD}
     elif to is DriveStage.RESET:
         changes["until_ns"] = t_ns + DRIVE_RESET_NS
-    elif to is _N:
-        changes["silent_ns"] = t_ns
+    elif to is _O or to is _N:
+        changes["since_ns"] = t_ns
     changes["step" if to in STEPS else "base"] = to
     return replace(at, **changes)
 
