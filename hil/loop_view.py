@@ -106,12 +106,12 @@ class LoopView:
     @property
     def latched_mm(self) -> float:
         """The stroke that is held; NaN: none."""
-        return self._loop._stroke_hold.reference_mm
+        return self._loop._load.stroke.reference_mm
 
     @property
     def shown_loss(self) -> float:
         """The largest of what shows that the held load is lost: mm stretched, N fallen, mm sunk on the brake."""
-        return max(abs(self._seen.stretched_mm), self._seen.fallen_n, self._loop._first_second.sank_mm)
+        return max(abs(self._seen.stretched_mm), self._seen.fallen_n, self._loop._load.first_second.sank_mm)
 
     # -- what the safety table looks at --------------------------------------------------------------------------
     @property

@@ -6,8 +6,8 @@ import sys
 from itertools import product
 
 from rigctl.control.arming import AWAIT_NS
+from rigctl.control.drive_command import SAFE_FRAMES, STOP_LIMIT_NS
 from rigctl.control.escalation import STEPS
-from rigctl.control.loop import SAFE_FRAMES, STOP_LIMIT_NS
 from rigctl.control.machine import SUPERVISED_NS
 from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Refusal, Verb, decide
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS

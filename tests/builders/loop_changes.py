@@ -19,7 +19,7 @@ class LoopStep(StrEnum):
     ESTIMATE = "observer.estimate"
     DECIDE = "_decide"
     WATCH = "_watch.look"
-    SPEED = "_speed"
+    SPEED = "_motion.speed_mm_s"
     SEND = "_send"
     RECORD = "_record"
     WRITE_RECORD = "_logbook.record"
@@ -47,7 +47,7 @@ def end_time_of_trial(rig: Lockstep) -> None:
 
 def doubt_stroke(rig: Lockstep, *, doubted: bool = True) -> None:
     """The position contradicts its speed, or no longer does: a stroke that creeps is only watched."""
-    rig.loop._stroke_hold._doubted = doubted
+    rig.loop._load.stroke._doubted = doubted
 
 
 def leave_unexplained(rig: Lockstep, stretch_mm: float) -> None:
