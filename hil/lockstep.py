@@ -170,7 +170,7 @@ class Lockstep:
 
     def start_anew(self) -> None:
         """Bring the devices up and make a new loop on the same rig, as the supervisor does with the control process."""
-        last, record = LastStroke(self.loop.inbox.stroke_mm), self._records.latest()
+        last, record = LastStroke(self.loop.inbox.drive.stroke_mm), self._records.latest()
         brake = KeptBrake() if record is None else brake_of(record)
         self.report = self._bring_up()
         self.clock = self._clock_of_now()

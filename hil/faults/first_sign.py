@@ -27,7 +27,7 @@ def cut_at_first_sign(stand: Stand, step: Step | None) -> Step:
             step(t_s)
         loop = rig.loop
         fastest.append(abs(loop.law.command_mm_s))
-        excess_mm_s = abs(loop.inbox.speed_mm_s) - max(fastest)
+        excess_mm_s = abs(loop.inbox.drive.speed_mm_s) - max(fastest)
         beyond_mm = max(0.0, beyond_mm + excess_mm_s * period_s)
         if rig.view.drive_enabled and (excess_mm_s > SPEED_ERROR_MM_S or beyond_mm > STROKE_ERROR_MM):
             drive.enable_by_wire(False)

@@ -26,9 +26,9 @@ from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.gain_table import ScheduledGains
 from rigctl.control.hold_sockets import HoldSockets, prepared
-from rigctl.control.inbox import rival_ids
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
+from rigctl.control.network_state import rival_ids
 from rigctl.control.tension import Gains
 from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od

@@ -33,7 +33,7 @@ class DriveCommand:
     @property
     def moves(self) -> bool:
         """The stroke moves, or is commanded to by more than the correction of a held stroke."""
-        moving = abs(self._inbox.speed_mm_s) >= STOPPED_MM_S
+        moving = abs(self._inbox.drive.speed_mm_s) >= STOPPED_MM_S
         return moving or self._law.command_mm_s != self._stroke.command_mm_s
 
     def send(self, t_ns: int, speed_mm_s: float) -> None:

@@ -109,8 +109,8 @@ class FrequencyTrial:
         shape = signal(settings, regulated=regulated)
         self._stroke = shape.stroke_mm
         reach, tension, cylinder = REGULATED if regulated else HELD, settings.tension, settings.cylinder
-        self._start_n, self._start_mm = inbox.tension_n, inbox.stroke_mm
-        self._bound_n = bound_n = min(reach.tension_n, TARGET_SHARE * (inbox.tension_n - tension.slack_n))
+        self._start_n, self._start_mm = inbox.cell.tension_n, inbox.drive.stroke_mm
+        self._bound_n = bound_n = min(reach.tension_n, TARGET_SHARE * (inbox.cell.tension_n - tension.slack_n))
         self._stray_n = bound_n + STRAY_N + 5.0 * settings.tension_cell.noise_n
         self._most = most = min(
             reach.stroke_mm / shape.peak_mm,
@@ -139,8 +139,8 @@ class FrequencyTrial:
         if self._regulated:
             strays_n, held = snapshot.vertical_error_n, True
         else:
-            strays_n = inbox.tension_n - self._start_n
-            held = abs(inbox.stroke_mm - self._start_mm) <= self._peak_mm + STRAY_MM
+            strays_n = inbox.cell.tension_n - self._start_n
+            held = abs(inbox.drive.stroke_mm - self._start_mm) <= self._peak_mm + STRAY_MM
         if not (self._fits and held and abs(strays_n) <= self._stray_n):
             return Refusal.STRAYED
         self._ticks += 1

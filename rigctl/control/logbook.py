@@ -10,10 +10,11 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.hold_sockets import Hold
 from rigctl.control.homed import StrokeVerdict
-from rigctl.control.inbox import Inbox, Notices
+from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Change, Machine
 from rigctl.control.modes import HeldBy, Refusal
 from rigctl.control.move_learning import News
+from rigctl.control.network_state import Notices
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
@@ -114,30 +115,30 @@ class Logbook:
         values.slipped_n = slipped_n
         values.fault = machine.fault
         values.flags = flags
-        values.tension_n = inbox.tension_n
-        values.reading_n = inbox.reading_n
-        measured = inbox.cell
+        values.tension_n = inbox.cell.tension_n
+        values.reading_n = inbox.cell.reading_n
+        measured = inbox.cell_correction
         second = inbox.second
-        values.second_n = second.tension_n if second is not None else math.nan
-        values.force_gap_n = second.gap_n if second is not None else 0.0
-        values.fused_n = second.offset_n if second is not None else 0.0
+        values.second_n = second.tension_n
+        values.force_gap_n = second.gap_n
+        values.fused_n = second.offset_n
         values.creep_n = measured.creep_n
         values.crept_1_n, values.crept_2_n = measured.crept
         values.zero_drift_n = measured.zero_drift_n
         values.cell_temperature_c = measured.temperature_c
         values.tension_age_ns = snapshot.cell_age_ns
-        values.tension_quality = inbox.cell_quality | (0 if snapshot.cell_heard else _STALE)
-        values.tangential_rad = inbox.tangential_rad
-        values.normal_rad = inbox.normal_rad
+        values.tension_quality = inbox.cell.quality | (0 if snapshot.cell_heard else _STALE)
+        values.tangential_rad = inbox.slope.tangential_rad
+        values.normal_rad = inbox.slope.normal_rad
         values.inclination_age_ns = snapshot.inclination_age_ns
-        values.inclination_quality = inbox.slope_quality | (
+        values.inclination_quality = inbox.slope.quality | (
             _STALE if snapshot.inclination_age_ns > self._slope_stale_ns else 0
         )
-        values.stroke_mm = inbox.stroke_mm
-        values.speed_mm_s = inbox.speed_mm_s
+        values.stroke_mm = inbox.drive.stroke_mm
+        values.speed_mm_s = inbox.drive.speed_mm_s
         values.drive_age_ns = snapshot.drive_age_ns
         values.drive_quality = 0 if snapshot.drive_heard else _STALE
-        values.statusword = inbox.statusword
+        values.statusword = inbox.drive.statusword
         values.controlword = outbox.controlword
         values.command_mm_s = law.command_mm_s
         values.excitation_mm_s = added_mm_s
@@ -147,7 +148,7 @@ class Logbook:
         )
         values.target_n = law.target_n
         values.setpoint_n = law.rope_setpoint_n
-        values.vertical_n = inbox.tension_n * observer.cosine
+        values.vertical_n = inbox.cell.tension_n * observer.cosine
         values.estimate_n, values.estimate_mm_s, values.disturbance_mm_s = kalman.state
         values.integral_mm_s = law.integral_mm_s
         values.innovation_n = cell.innovation
@@ -178,9 +179,9 @@ class Logbook:
         values.frames_lost = inbox.frames_missing()
         values.frames_refused = inbox.refused
         values.send_failures = outbox.failures
-        values.error_frames = inbox.error_frames
-        values.rail_rad = inbox.rail_rad
-        values.rail_quality = inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
+        values.error_frames = inbox.network.error_frames
+        values.rail_rad = inbox.rail.rad
+        values.rail_quality = inbox.rail.quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
         values.run_out_mm_s = observer.run_out_mm_s
         values.learned_mm_s = learned_mm_s
         values.move = move

@@ -99,7 +99,7 @@ class Loop:
         self._commanded_ns = started_ns = clock.now()
         self.readback = Readback(watched, settings, started_ns)
         self.homed = Homed(settings.cylinder, last_stroke)
-        self.inbox = Inbox(bus, settings, rings.frames, process_data, self.readback)
+        self.inbox = Inbox(bus, settings, rings.frames, self.readback, process_data)
         self.outbox = Outbox(bus, settings, rings.frames, process_data)
         self.law = TensionLaw(settings, gains) if law is None else law(settings, gains, self.inbox)
         self.learning = MoveLearning(settings, self.law) if settings.learning is not None else None
@@ -107,7 +107,9 @@ class Loop:
         stroke, tension = StrokeHold(settings), HeldTension(settings)
         frequency_trial.prepare(settings)
         self._probe = (
-            LoopProbe(settings, plan(settings, gains), self.inbox.quantum_mm) if law is None else NoProbe(settings)
+            LoopProbe(settings, plan(settings, gains), self.inbox.drive.quantum_mm)
+            if law is None
+            else NoProbe(settings)
         )
         self._rope = RopeMemory(settings)
         self.observer = Observer(
@@ -188,7 +190,7 @@ class Loop:
         self._tick += 1 + skipped
         observer.look(now_ns, skipped)
         if inbox.drive_fresh:
-            found = self.homed.look(inbox.stroke_mm, inbox.speed_mm_s, now_ns)
+            found = self.homed.look(inbox.drive.stroke_mm, inbox.drive.speed_mm_s, now_ns)
             if found is not None:
                 self._logbook.stroke(now_ns, found)
         self._load.watch_stroke(now_ns, self._orders.trial, doubted=self.homed.doubted)
@@ -287,8 +289,8 @@ class Loop:
         if first:
             self._start_again_ns = t_ns + START_AGAIN_NS
             return
-        for node, state in self.inbox.states.items():
-            if state == NmtState.PRE_OPERATIONAL and not self.inbox.restarted:
+        for node, state in self.inbox.network.states.items():
+            if state == NmtState.PRE_OPERATIONAL and not self.inbox.network.restarted:
                 self.outbox.start(node)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
@@ -324,7 +326,7 @@ class Loop:
         self._tripped = None
         if done is not NOTHING:
             self._orders.reply(t_ns, done.answers)
-        logbook.bus_notices(t_ns, self.inbox.notices(), self.readback.report(), self.inbox, self.outbox)
+        logbook.bus_notices(t_ns, self.inbox.network.notices(), self.readback.report(), self.inbox, self.outbox)
         if skipped >= SKIP_NOTICE:
             logbook.notice(t_ns, Kind.CLOCK, skipped, 0)
 
@@ -352,7 +354,7 @@ class Loop:
         )  # fmt: skip
         if ending.step is not None and ending.step is not before:
             seconds = ending.left_s if ending.delayed else (t_ns - ending.since_ns) * 1e-9
-            self._logbook.event(t_ns, Kind.ENDING, ending.step, value=seconds, limit=number(self.inbox.tension_n))
+            self._logbook.event(t_ns, Kind.ENDING, ending.step, value=seconds, limit=number(self.inbox.cell.tension_n))
         if ending.due and machine.sequence.motor:
             self._orders.lower_to_end(t_ns)
         elif not ending.delayed:
@@ -365,8 +367,8 @@ class Loop:
         self.machine.follow(TickSeen(t_ns, ended=still or late))
         if (still and self.observer.snapshot.power.braked) or late:
             self.finished = True
-            inbox = self.inbox
-            self._logbook.event(t_ns, Kind.STOPPED, value=number(inbox.stroke_mm), limit=number(inbox.tension_n))
+            stroke_mm, tension_n = self.inbox.drive.stroke_mm, self.inbox.cell.tension_n
+            self._logbook.event(t_ns, Kind.STOPPED, value=number(stroke_mm), limit=number(tension_n))
 
     def _stop_safely(self, t_ns: int, error: Exception) -> None:
         """First send the safe command: no speed, controlword unchanged. Then latch FAULT and record the exception."""
@@ -374,7 +376,7 @@ class Loop:
         try:
             word = self.outbox.controlword
             if self._failing > FAILING_TICKS:  # failing ticks do not watch the stroke
-                word = next_controlword(drive_state(self.inbox.statusword), Power.QUICK_STOP)
+                word = next_controlword(drive_state(self.inbox.drive.statusword), Power.QUICK_STOP)
             if self.machine.sequence.silent or self._failing > SILENT_TICKS:
                 self.outbox.silence(t_ns)
             else:

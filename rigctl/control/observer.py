@@ -7,12 +7,13 @@ from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
+from rigctl.control.channels import NEVER_NS
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
-from rigctl.control.inbox import NEVER_NS, Inbox
+from rigctl.control.inbox import Inbox
 from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.loop_probe import NoProbe
@@ -84,7 +85,7 @@ class Observer:
         self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
         self._power = PowerDetector(settings)
         self.snapshot = Snapshot(
-            heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen
+            heartbeats_t_ns=inbox.network.heartbeats_t_ns, node_states=inbox.network.states, power=self._power.seen
         )
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -122,31 +123,31 @@ class Observer:
 
     def look(self, now_ns: int, skipped: int) -> None:
         """Make this tick's snapshot from the inbox; ``skipped`` ticks passed since the last one."""
-        inbox, snapshot, statusword = self.inbox, self.snapshot, self.inbox.statusword
-        inbox.fuse(now_ns)
-        self.just_skipped = skipped
-        snapshot.t_ns = now_ns
+        inbox, snapshot, network, drive = self.inbox, self.snapshot, self.inbox.network, self.inbox.drive
+        statusword = drive.statusword
+        inbox.cell.fuse(drive.stroke_mm, drive.speed_mm_s, now_ns)
+        self.just_skipped, snapshot.t_ns = skipped, now_ns
         if skipped:
             self.skipped += skipped
             self._skips.append((now_ns, skipped))
         while self._skips and now_ns - self._skips[0][0] > self._window_ns:
             self._skips.popleft()
         state = drive_state(statusword)
-        snapshot.tension_n, snapshot.cell_quality = inbox.tension_n, inbox.cell_quality
-        snapshot.reading_n = inbox.reading_n
-        snapshot.cell_age_ns = now_ns - inbox.cell_t_ns
+        snapshot.tension_n, snapshot.cell_quality = inbox.cell.tension_n, inbox.cell.quality
+        snapshot.reading_n = inbox.cell.reading_n
+        snapshot.cell_age_ns = now_ns - inbox.cell.t_ns
         snapshot.cell_heard = snapshot.cell_age_ns <= self._stale_ns
-        snapshot.inclination_quality = inbox.slope_quality
-        snapshot.inclination_age_ns = now_ns - inbox.slope_t_ns
-        self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail_t_ns
-        snapshot.stroke_mm, snapshot.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
-        snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
-        snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
+        snapshot.inclination_quality = inbox.slope.quality
+        snapshot.inclination_age_ns = now_ns - inbox.slope.t_ns
+        self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail.t_ns
+        snapshot.stroke_mm, snapshot.speed_mm_s = drive.stroke_mm, drive.speed_mm_s
+        snapshot.tangential_rad, snapshot.normal_rad = inbox.slope.tangential_rad, inbox.slope.normal_rad
+        snapshot.drive_age_ns = now_ns - drive.t_ns
         snapshot.drive_heard = snapshot.drive_age_ns <= self._stale_ns
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_heard)
+        snapshot.still_ns = self._standstill.look(now_ns, snapshot.stroke_mm, snapshot.speed_mm_s, snapshot.drive_heard)
         self._look_at_drive_status(now_ns)
         self._power.look(
             now_ns, state, self._outbox.controlword, snapshot.still_ns,
@@ -158,17 +159,17 @@ class Observer:
             sinking.speed_mm_s, sinking.apart_mm, sinking.left_mm,
         )  # fmt: skip
         self._look_at_fitted(now_ns)
-        snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
+        snapshot.e_stop = inbox.drive_status.e_stop | (inbox.inputs.e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
         snapshot.drive_local = not statusword & STATUS_REMOTE
         snapshot.drive_limited = statusword & STATUS_INTERNAL_LIMIT != 0
         snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
-        snapshot.rival_age_ns, snapshot.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
+        snapshot.rival_age_ns, snapshot.rival_words = now_ns - network.rival_t_ns, network.rival_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
-        snapshot.error_frames = self._recent_error_frames(now_ns) if inbox.error_frames else 0
+        snapshot.error_frames = self._recent_error_frames(now_ns) if network.error_frames else 0
         snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
-        snapshot.device_restarted = inbox.restarted
-        snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
+        snapshot.device_restarted = network.restarted
+        snapshot.sensor_emergency, snapshot.drive_emergency = network.sensor_emergency, network.drive_emergency
         figures, enabled = self._plausibility, snapshot.drive_enabled
         figures.look(
             inbox, self._law.command_mm_s if enabled else 0.0, ticks=1 + skipped, drive_enabled=enabled,
@@ -193,12 +194,12 @@ class Observer:
         tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
         from_mm, from_n = travel_from
         wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.travel.stiffness_n_mm)
-        snapshot.travel_mm = self.inbox.stroke_mm - from_mm - wanted_mm if compensating else 0.0
+        snapshot.travel_mm = self.inbox.drive.stroke_mm - from_mm - wanted_mm if compensating else 0.0
         if not compensating:
             self.sensitivity_peak = self.sensitivity_peak_error = math.nan
         least = self.sensitivity_peak - self.sensitivity_peak_error
         snapshot.least_peak = least if least > 0.0 else 0.0
-        snapshot.vertical_error_n = self.inbox.tension_n * self.cosine - law.setpoint_n if tight else 0.0
+        snapshot.vertical_error_n = self.inbox.cell.tension_n * self.cosine - law.setpoint_n if tight else 0.0
         probe, setpoint_n = self._probe, law.setpoint_n if compensating else max(law.setpoint_n, law.target_n)
         ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
         probe.look(snapshot, self.cosine, setpoint_n / self.cosine, ramping=ramping, compensating=compensating)
@@ -304,10 +305,10 @@ class Observer:
         if not self._status_stale_ns:
             return
         inbox, snapshot = self.inbox, self.snapshot
-        snapshot.status_age_ns = now_ns - inbox.drive_status_t_ns
+        snapshot.status_age_ns = now_ns - inbox.drive_status.t_ns
         stale = snapshot.status_age_ns > self._status_stale_ns
-        snapshot.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
-        current_a = snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
+        snapshot.drive_temperature_c = math.nan if stale else inbox.drive_status.temperature_c
+        current_a = snapshot.drive_current_a = math.nan if stale else inbox.drive_status.current_a
         snapshot.drive_current_flows = current_a > self._current_a or current_a < -self._current_a
         if not (snapshot.drive_current_flows and snapshot.drive_off):
             self._no_current_ns = now_ns
@@ -320,17 +321,15 @@ class Observer:
         if self._sync_timing is not None:
             alive = now_ns - inbox.bus_t_ns <= self._bus_silent_ns
             snapshot.sync_age_ns = min(snapshot.drive_age_ns, snapshot.cell_age_ns) if alive else 0
-        if inbox.second is not None:
-            snapshot.force_gap_n, snapshot.second_known = inbox.second.gap_n, inbox.second.known
-            snapshot.second_age_ns = now_ns - inbox.second.t_ns
-            snapshot.second_quality = inbox.second.quality
+        snapshot.force_gap_n, snapshot.second_known = inbox.second.gap_n, inbox.second.known
+        snapshot.second_age_ns, snapshot.second_quality = now_ns - inbox.second.t_ns, inbox.second.quality
         if self._warmth_fitted:
-            snapshot.warmth_age_ns = now_ns - inbox.warmth_t_ns
+            snapshot.warmth_age_ns = now_ns - inbox.cell_temperature.t_ns
         if self._io_fitted:
-            snapshot.io_age_ns = now_ns - inbox.io_t_ns
+            snapshot.io_age_ns = now_ns - inbox.inputs.t_ns
             enable, fresh = self._outbox.enable, snapshot.io_age_ns <= self._io_stale_ns
-            snapshot.torque_off = fresh and inbox.io_drive_off
-            snapshot.enable_ignored = enable.fitted and fresh and inbox.io_drive_off is enable.on
+            snapshot.torque_off = fresh and inbox.inputs.drive_off
+            snapshot.enable_ignored = enable.fitted and fresh and inbox.inputs.drive_off is enable.on
 
     def estimate(self, skipped: int, *, regulated: bool) -> Estimate:
         """The filters' estimate, predicted to when a command acts; ``regulated``: the run-out table may learn.
@@ -340,9 +339,9 @@ class Observer:
         """
         inbox, kalman, slope, ahead = self.inbox, self.filter, self.inclination, self._stretch_lead
         if inbox.slope_fresh:
-            slope.update(inbox.tangential_rad, inbox.normal_rad)
+            slope.update(inbox.slope.tangential_rad, inbox.slope.normal_rad)
             if ahead is not None and slope.believed:
-                ahead.update(inbox.tangential_rad, inbox.normal_rad)
+                ahead.update(inbox.slope.tangential_rad, inbox.slope.normal_rad)
         else:
             slope.absent()
         tangential, _, normal, _ = slope.state
@@ -352,11 +351,11 @@ class Observer:
             stretch_mm_s, lead_mm_s = ahead.speeds_mm_s()
             ahead.pass_ticks(1 + skipped)
         if inbox.cell_fresh:
-            self.tension_n = inbox.tension_n
-            self.slack = inbox.tension_n < self._slack_n
+            self.tension_n = inbox.cell.tension_n
+            self.slack = inbox.cell.tension_n < self._slack_n
         if self.slack:
             self.tight_ns = self.snapshot.t_ns
-            kalman.reset(self.tension_n, inbox.speed_mm_s)
+            kalman.reset(self.tension_n, inbox.drive.speed_mm_s)
             self.run_out_mm_s = 0.0
             if self._run_out is not None:
                 self._run_out.lose()
@@ -365,14 +364,14 @@ class Observer:
                 self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
             timing, known_mm_s = self._sync_timing, stretch_mm_s + self.run_out_mm_s
             kalman.update(
-                inbox.tension_n if inbox.cell_fresh else None,
-                inbox.speed_mm_s if inbox.drive_fresh else None,
+                inbox.cell.tension_n if inbox.cell_fresh else None,
+                inbox.drive.speed_mm_s if inbox.drive_fresh else None,
                 known_mm_s,
                 # Where no SYNC latches the samples, none is late.
                 timing.late_s(self._outbox.synced_ns, self._last_grid_ns) if timing is not None else 0.0,
             )
             if kalman.cell.rejects >= UNLOADED_REJECTS and not self.snapshot.drive_enabled:
-                kalman.reset(self.tension_n, inbox.speed_mm_s, known_mm_s)
+                kalman.reset(self.tension_n, inbox.drive.speed_mm_s, known_mm_s)
         kalman.predict(1 + skipped)
         slope.pass_ticks(1 + skipped)
         snapshot = self.snapshot
@@ -386,21 +385,21 @@ class Observer:
             raise ArithmeticError("the estimate is not finite")
         if self._run_out is not None:
             disturbance_mm_s += self._run_out.lead_mm_s
-        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.stroke_mm, lead_mm_s)
+        return Estimate(tension_n, speed_mm_s, disturbance_mm_s, inbox.drive.stroke_mm, lead_mm_s)
 
     def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
-        self.inbox.correct(correction, held_s=held_s, history=history)
+        self.inbox.cell.correct(correction, held_s=held_s, history=history)
         self._held_tension.follow()
         self._take_up.forget()
-        if math.isfinite(self.inbox.tension_n):
-            self.tension_n = self.inbox.tension_n
+        if math.isfinite(self.inbox.cell.tension_n):
+            self.tension_n = self.inbox.cell.tension_n
             self.slack = self.tension_n < self._slack_n
-            self.filter.reset(self.tension_n, self.inbox.speed_mm_s, self.filter.known_mm_s)
+            self.filter.reset(self.tension_n, self.inbox.drive.speed_mm_s, self.filter.known_mm_s)
 
     def _recent_error_frames(self, now_ns: int) -> int:
         """CAN error frames within the last second."""
-        total, seen = self.inbox.error_frames, self._errors
+        total, seen = self.inbox.network.error_frames, self._errors
         if total and (not seen or seen[-1][1] != total):
             seen.append((now_ns, total))
         while seen and now_ns - seen[0][0] > _SECOND_NS:
@@ -410,10 +409,10 @@ class Observer:
     def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
         """Disturbance speed from the table, which learns what the filter found beside it in the tick before."""
         inbox = self.inbox
-        if inbox.rail_quality or self.rail_age_ns > self.rail_stale_ns:
+        if inbox.rail.quality or self.rail_age_ns > self.rail_stale_ns:
             table.lose()
             return 0.0
-        table.follow(inbox.rail_rad, ticks, fresh=inbox.rail_fresh)
+        table.follow(inbox.rail.rad, ticks, fresh=inbox.rail_fresh)
         if regulated:
             table.learn(self.filter.state[2])
         else:

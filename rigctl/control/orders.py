@@ -230,7 +230,7 @@ class Orders:
         elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
             figures = {"carried_s": max(0, self._machine.sequence.carry_until_ns - t_ns) * 1e-9}
         elif given.refusal is Refusal.LOADED:
-            figures = {"reading_n": self._observer.inbox.reading_n}
+            figures = {"reading_n": self._observer.inbox.cell.reading_n}
         elif given.verb is Verb.BRAKE_TEST and given.refusal is Refusal.NONE:
             figures = {"tension_n": given.command.test.tension_n}
         elif given.verb is Verb.MOVE and self._learning is not None:
@@ -251,9 +251,9 @@ class Orders:
             case Refusal.LITTLE_LOAD:
                 return {"needed_n": self._brake.wanted_n}
             case Refusal.STOP_RUNNING:
-                return {"speed_mm_s": self._observer.inbox.speed_mm_s}
+                return {"speed_mm_s": self._observer.inbox.drive.speed_mm_s}
             case _:
-                return {"drive_state": float(drive_state(self._observer.inbox.statusword))}
+                return {"drive_state": float(drive_state(self._observer.inbox.drive.statusword))}
 
     def failed_checks(self, *, near_end: bool = False) -> Check:
         """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
@@ -276,7 +276,7 @@ class Orders:
 
     @property
     def _verified_at_start(self) -> bool:
-        return self._supervised and not self._observer.inbox.restarted
+        return self._supervised and not self._observer.inbox.network.restarted
 
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
@@ -379,16 +379,16 @@ class Orders:
             drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
             slack=observer.slack,
             slack_doubted=brake.fails and self._rope.slack_in_doubt(snapshot),
-            unloaded=abs(observer.inbox.reading_n) <= settings.tare_limit_n,
+            unloaded=abs(observer.inbox.cell.reading_n) <= settings.tare_limit_n,
             target_min_n=settings.tension.target_min_n,
             target_max_n=settings.tension.target_max_n,
             witness=self._carried.suits(self._watch.standing, snapshot) if brake.fails else Witness.BOTH,
             pending=0 if self._waiting is None else self._waiting.verb,
             read_at_arm=not read and self._reads_first(Verb.ARM, t_ns),
             read_at_motor=not read and self._reads_first(Verb.TENSION, t_ns),
-            speed_mm_s=observer.inbox.speed_mm_s,
-            drive_state=drive_state(observer.inbox.statusword),
-            reading_n=observer.inbox.reading_n,
+            speed_mm_s=observer.inbox.drive.speed_mm_s,
+            drive_state=drive_state(observer.inbox.drive.statusword),
+            reading_n=observer.inbox.cell.reading_n,
         )
         return machine.under_way(situation, t_ns).given(values)
 
@@ -480,7 +480,7 @@ class Orders:
         refusal = self.settings.put(setting, values, t_ns, self._machine)
         if setting is Setting.HOST_CHECKS:
             self.shown_checks = self.shown_checks & ~int(HOST_CHECKS) | self.settings.host_checks
-        figures = {"reading_n": self._observer.inbox.reading_n} if refusal is Refusal.LOADED else {}
+        figures = {"reading_n": self._observer.inbox.cell.reading_n} if refusal is Refusal.LOADED else {}
         self._reply(t_ns, id_, refusal, figures=figures)
 
     def _reply(
@@ -489,7 +489,7 @@ class Orders:
         machine, observer = self._machine, self._observer
         self._logbook.reply(t_ns, id_, refusal, checks, machine.mode, figures)
         if id_ & HOLD_ID:
-            stroke_mm, tension_n = observer.inbox.stroke_mm, observer.inbox.tension_n
+            stroke_mm, tension_n = observer.inbox.drive.stroke_mm, observer.inbox.cell.tension_n
             done = refusal is Refusal.NONE
             self._holds.answer(
                 id_ ^ HOLD_ID,

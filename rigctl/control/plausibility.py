@@ -114,15 +114,15 @@ class Plausibility:
         moved_mm = said_mm = modelled_mm = 0.0
         if inbox.drive_fresh:
             if math.isfinite(self._stroke_mm):
-                moved_mm = inbox.stroke_mm - self._stroke_mm
-                said_mm = inbox.speed_mm_s * self._unheard * self._dt
+                moved_mm = inbox.drive.stroke_mm - self._stroke_mm
+                said_mm = inbox.drive.speed_mm_s * self._unheard * self._dt
                 modelled_mm = self._modelled_mm
-            self._stroke_mm, self._unheard, self._modelled_mm = inbox.stroke_mm, 0, 0.0
+            self._stroke_mm, self._unheard, self._modelled_mm = inbox.drive.stroke_mm, 0, 0.0
         if drive_enabled:
-            self.speed_error_mm_s = abs(inbox.speed_mm_s - self._drive.speed_mm_s)
+            self.speed_error_mm_s = abs(inbox.drive.speed_mm_s - self._drive.speed_mm_s)
             self.stroke_error_mm = self._stroke_keep * self.stroke_error_mm + moved_mm - modelled_mm
         else:
-            self._drive.follow(inbox.speed_mm_s)
+            self._drive.follow(inbox.drive.speed_mm_s)
             self.speed_error_mm_s = self.stroke_error_mm = 0.0
         # A jump while the drive is off is the stroke's own fault; its trace must not trip the arming that follows.
         jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM
@@ -137,36 +137,36 @@ class Plausibility:
         self._enabled_s = self._enabled_s + ticks * self._dt if drive_enabled else 0.0
         if not inbox.drive_fresh:
             return
-        speed_mm_s, before_mm_s = inbox.speed_mm_s, self._beyond_mm_s
+        speed_mm_s, before_mm_s = inbox.drive.speed_mm_s, self._beyond_mm_s
         beyond_mm_s = max(speed_mm_s - OVERSHOOT * self._highest_mm_s, OVERSHOOT * self._lowest_mm_s - speed_mm_s, 0.0)
         self._beyond_mm_s = beyond_mm_s if drive_enabled else 0.0
         self._growths = self._growths + 1 if self._beyond_mm_s > before_mm_s else 0
-        taking = self._enabled_s < TAKING_S and math.isfinite(inbox.tension_n)
-        allowed_mm_s = TAKING_MM_S_N * max(0.0, inbox.tension_n) if taking else 0.0
+        taking = self._enabled_s < TAKING_S and math.isfinite(inbox.cell.tension_n)
+        allowed_mm_s = TAKING_MM_S_N * max(0.0, inbox.cell.tension_n) if taking else 0.0
         self.runaway_mm_s = max(0.0, self._beyond_mm_s - allowed_mm_s) if self._growths >= GROWTHS else 0.0
 
     def _look_at_cell(self, inbox: Inbox, slack: bool) -> None:
-        self.step.look(inbox.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
+        self.step.look(inbox.cell.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
         self._unmeasured = 0
-        step_n = abs(inbox.reading_n - self._repeated_n)
+        step_n = abs(inbox.cell.reading_n - self._repeated_n)
         self.cell_repeats = self.cell_repeats + 1 if step_n == 0.0 else 0
-        self._repeated_n = inbox.reading_n
+        self._repeated_n = inbox.cell.reading_n
         if math.isfinite(step_n):
             self.cell_unrest_n += (min(step_n, self._largest_n) - self.cell_unrest_n) * self._unrest_share
         if not math.isfinite(self._smooth_n):
-            self._smooth_n = inbox.tension_n
-        self.tension_rate_n_s = (inbox.tension_n - self._smooth_n) / RATE_S
-        self._smooth_n += (inbox.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
+            self._smooth_n = inbox.cell.tension_n
+        self.tension_rate_n_s = (inbox.cell.tension_n - self._smooth_n) / RATE_S
+        self._smooth_n += (inbox.cell.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
     def _look_at_stretch(self, inbox: Inbox, moving: bool, moved_mm: float, slack: bool) -> None:
         if not moving or not math.isfinite(self._tension_n):
             self.unexplained_mm, self._yielded_mm = 0.0, math.nan
         else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
-            gained_mm = (inbox.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
+            gained_mm = (inbox.cell.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
             explained_mm = (0.0 if slack else moved_mm) - self._yields_mm()
             self.unexplained_mm = self._stretch_keep * self.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
-            self._tension_n = inbox.tension_n
+            self._tension_n = inbox.cell.tension_n
 
     def _yields_mm(self) -> float:
         """What the mechanism gives way by in this tick under the tension, of first order at its own frequency."""

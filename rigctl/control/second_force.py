@@ -26,12 +26,27 @@ POSITION_MM = MM_PER_POSITION_UNIT * ROUNDED
 STRETCH_MM_S = 1.0  # a faster stroke is not used for a stretch: the encoders' samples are up to a millisecond apart
 
 
-class SecondForce:
-    """Reading, tension and offset of the second path, all in N.
+class NoSecondForce:
+    """A rig whose cell is the only way to the tension.
 
-    ``reading_n``: before zero and scale; NaN without a good sample. ``offset_n``: what fusion adds to the cell's
-    tension. ``gap_n``: low-passed difference of the two tensions. ``quality``: of the newest sample, 0 good.
+    ``reading_n``, ``tension_n``: of the second path, before and after zero and scale; NaN without a good sample.
+    ``offset_n``: what fusion adds to the cell's tension. ``gap_n``: low-passed difference of the two tensions.
+    ``known``: it has a zero. ``quality``, ``t_ns``: of the newest sample; 0 good.
     """
+
+    reading_n = tension_n = math.nan
+    offset_n = gap_n = 0.0
+    known = False
+    quality = 0
+    t_ns = -(1 << 61)
+
+    def usable(self, _now_ns: int) -> bool:
+        """There is a good sample that is not stale."""
+        return False
+
+
+class SecondForce(NoSecondForce):
+    """Reading, tension and offset of the second path, all in N."""
 
     def __init__(self, section: SecondForceSettings, cell_noise_n: float, period_s: float) -> None:
         """``cell_noise_n``, ``period_s``: rms noise of the cell and period of the loop, for ``quick_hz``."""
@@ -52,11 +67,8 @@ class SecondForce:
         self._quick_most_n = QUICK_SIGMA * math.hypot(cell_noise_n, own_n) if self._quick else 0.0
         self._low_n = math.nan  # low-passed difference
         self.quick_n = 0.0
-        self.reading_n = self.tension_n = math.nan
-        self.offset_n = self.gap_n = 0.0
-        self.quality = 0
         self.in_error = self.restarted = False  # its device reports an error; it restarted, with unverified settings
-        self.t_ns, self._compared_ns = -(1 << 61), 0
+        self._compared_ns = 0
         self.fresh = False
 
     def put(self, correction: Correction) -> None:
@@ -120,7 +132,7 @@ class SecondForce:
         self.quick_n = self._quick_weight * max(-most_n, min(most_n, difference_n - self._low_n))
 
     def usable(self, now_ns: int) -> bool:
-        """There is a good sample that is not stale."""
+        """See `NoSecondForce`."""
         return not self.quality and now_ns - self.t_ns <= self._stale_ns
 
     def _leave(self, now_ns: int) -> None:

@@ -70,9 +70,9 @@ class SettingsInForce:
         inbox = self._observer.inbox
         if not machine.mode.reading_may_jump or machine.sequence.ends:
             return Refusal.WRONG_MODE
-        if "zero_n" in values and not abs(inbox.reading_n) <= self._settings.tare_limit_n:
+        if "zero_n" in values and not abs(inbox.cell.reading_n) <= self._settings.tare_limit_n:
             return Refusal.LOADED
-        now, overdue = inbox.correction, values.get("overdue", math.nan)
+        now, overdue = inbox.cell_correction.correction, values.get("overdue", math.nan)
         wanted = replace(now, scale=values.get("scale", now.scale))
         second_scale, second_zero_n = values.get("second_scale", math.nan), values.get("second_zero_n", math.nan)
         if not math.isnan(second_scale):
@@ -101,7 +101,8 @@ class SettingsInForce:
             CreepTerm(values["creep_1"], values["creep_1_s"]),
             CreepTerm(values["creep_2"], values["creep_2_s"]),
         )
-        wanted = replace(self._observer.inbox.correction, creep=terms if any(term.share for term in terms) else ())
+        now = self._observer.inbox.cell_correction.correction
+        wanted = replace(now, creep=terms if any(term.share for term in terms) else ())
         if not wanted.fits(self._settings):
             return Refusal.OUT_OF_RANGE
         self.correct(wanted, t_ns, held_s=values["creep_held_s"])
@@ -142,8 +143,8 @@ class SettingsInForce:
         self, correction: Correction, t_ns: int, *, held_s: float = math.nan, history: CellHistory | None = None
     ) -> None:
         """Put zero, scale and creep of the cell in force; for ``held_s`` and ``history`` see `CellCorrection.put`."""
-        cell, creeps = self._observer.inbox.cell, self._observer.inbox.cell.creeps
-        creep = cell.correction.creep
+        cell = self._observer.inbox.cell_correction
+        creep, creeps = cell.correction.creep, cell.creeps
         self._observer.correct(correction, held_s=held_s, history=history)
         self._logbook.event(t_ns, Kind.CORRECTION, value=correction.zero_n, limit=correction.scale)
         if correction.second_zero_n is not None:

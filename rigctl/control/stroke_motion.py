@@ -129,7 +129,7 @@ class StrokeMotion:
     def check_signs(self, now_ns: int) -> None:
         """Compare the signs of command, stroke and tension in the first motion."""
         signs, inbox = self._signs, self._observer.inbox
-        signs.see(self._law.command_mm_s, inbox.stroke_mm, inbox.tension_n)
+        signs.see(self._law.command_mm_s, inbox.drive.stroke_mm, inbox.cell.tension_n)
         if signs.passed:
             self._load.found_stiffness(signs.slope_n_mm)
             self._probe.found_stiffness(signs.slope_n_mm)

@@ -107,19 +107,19 @@ class Average:
         """Take this tick's sample, if one came."""
         if snapshot.cell_quality or not snapshot.cell_heard:
             return Refusal.NO_SAMPLES
-        if abs(inbox.speed_mm_s) > STILL_MM_S:
+        if abs(inbox.drive.speed_mm_s) > STILL_MM_S:
             return Refusal.UNSTEADY
         if inbox.cell_fresh:
-            if abs(inbox.reading_n) > self._largest_n:
+            if abs(inbox.cell.reading_n) > self._largest_n:
                 return Refusal.LOADED
             if not self.samples:
-                self._first = inbox.reading_n
-            beyond = inbox.reading_n - self._first  # sums of small numbers lose no digits
+                self._first = inbox.cell.reading_n
+            beyond = inbox.cell.reading_n - self._first  # sums of small numbers lose no digits
             self.samples += 1
             self._sum += beyond
             self._squares += beyond * beyond
-            self._creep += inbox.cell.creep_n
-            if inbox.second is not None:  # without a good sample of it the mean is NaN, and not used
+            self._creep += inbox.cell_correction.creep_n
+            if self._has_second:  # without a good sample of it the mean is NaN, and not used
                 second = inbox.second
                 self._second += second.reading_n if second.usable(snapshot.t_ns) else math.nan
         self._left -= 1
@@ -127,7 +127,7 @@ class Average:
             return None
         if self.samples < FEWEST_SAMPLES:
             return Refusal.NO_SAMPLES
-        cell = inbox.cell
+        cell = inbox.cell_correction
         self._doubt_n, self._cell_c = cell.doubt_n, cell.temperature_c
         self._beside_n = cell.offset_n - cell.correction.zero_n
         return Refusal.UNSTEADY if self.rms_n > self._spread_n else Refusal.NONE
@@ -153,7 +153,7 @@ class Excitation:
         self._felt = False
         self._stray_n = STRAY_N + 5.0 * self._noise_n
         self._rest, self._left = round(REST_S * rate), round(QUIET_S * rate)
-        self._start_n, self._start_mm = inbox.tension_n, inbox.stroke_mm
+        self._start_n, self._start_mm = inbox.cell.tension_n, inbox.drive.stroke_mm
         cylinder = settings.cylinder
         inside = cylinder.stroke_min_mm <= self._start_mm <= cylinder.stroke_max_mm - STEP_MM
         self._fits = inside and self._start_n + self._stray_n <= settings.safety.tension_high_n
@@ -172,7 +172,7 @@ class Excitation:
 
     def see(self, inbox: Inbox, snapshot: Snapshot) -> Refusal | None:
         """Choose this tick's speed, within the bounds."""
-        strays_n, strays_mm = abs(inbox.tension_n - self._start_n), abs(inbox.stroke_mm - self._start_mm)
+        strays_n, strays_mm = abs(inbox.cell.tension_n - self._start_n), abs(inbox.drive.stroke_mm - self._start_mm)
         if not (self._fits and strays_n <= self._stray_n and strays_mm <= self._stroke_mm + STRAY_MM):
             return Refusal.STRAYED
         point = snapshot.t_ns // self._period_ns
@@ -180,7 +180,7 @@ class Excitation:
         self._point = point
         self._ticks += passed
         if not self.wanted_mm_s and self._left <= self._rest // 2:
-            self._settled_n += inbox.tension_n
+            self._settled_n += inbox.cell.tension_n
             self._settled += 1
         self._left -= passed
         if self._left > 0:
@@ -252,10 +252,10 @@ class LoadStep:
         self._seconds, self._tight_ns = seconds, tight_ns
         cell = settings.tension_cell
         self._spread_n = max(SPREAD_NOISES * cell.noise_n, SPREAD_RANGE * cell.range_n)
-        self._loaded = abs(inbox.tension_n) > self._half_n
+        self._loaded = abs(inbox.cell.tension_n) > self._half_n
         self._begun_ns = self._step_ns = -1
         self._bin_s, self._seen_before = 0.0, False
-        ramp_s = abs(inbox.tension_n) / settings.tension.ramp_n_s
+        ramp_s = abs(inbox.cell.tension_n) / settings.tension.ramp_n_s
         self._half_ramp_ns = round(0.5e9 * ramp_s) if math.isfinite(ramp_s) else 0
         self._edges_s = [
             CREEP_SETTLE_S * (seconds / CREEP_SETTLE_S) ** (i / CREEP_BINS) for i in range(1, CREEP_BINS + 1)
@@ -285,7 +285,7 @@ class LoadStep:
             return refusal
         if snapshot.cell_quality or snapshot.cell_age_ns > CREEP_STALE_NS:
             return Refusal.NO_SAMPLES
-        if abs(inbox.speed_mm_s) > STILL_MM_S:
+        if abs(inbox.drive.speed_mm_s) > STILL_MM_S:
             return Refusal.UNSTEADY
         if self._step_ns < 0:
             return self._await_step(inbox, now_ns)
@@ -302,7 +302,7 @@ class LoadStep:
         return None if self._loaded else Refusal.SLACK
 
     def _record(self, inbox: Inbox, after_s: float) -> Refusal | None:
-        if (abs(inbox.tension_n) > self._half_n) is not self._loaded:
+        if (abs(inbox.cell.tension_n) > self._half_n) is not self._loaded:
             return Refusal.UNSTEADY
         while self._place < CREEP_BINS and after_s >= self._edges_s[self._place]:
             self._place += 1
@@ -313,7 +313,7 @@ class LoadStep:
         if self._place == CREEP_BINS:
             return Refusal.NONE
         if inbox.cell_fresh:
-            self._add(inbox.reading_n, after_s)
+            self._add(inbox.cell.reading_n, after_s)
         return None
 
     def _await_step(self, inbox: Inbox, now_ns: int) -> Refusal | None:
@@ -321,12 +321,12 @@ class LoadStep:
         since_s = (now_ns - self._begun_ns) * 1e-9
         if since_s > STEP_WAIT_S:
             return Refusal.NO_STEP
-        if (abs(inbox.tension_n) > self._half_n) is not self._loaded:
+        if (abs(inbox.cell.tension_n) > self._half_n) is not self._loaded:
             self._loaded, self._step_ns = not self._loaded, now_ns
             self._samples = 0
             return None if self._seen_before else Refusal.NO_STEP
         if inbox.cell_fresh:
-            self._add(inbox.reading_n, since_s)
+            self._add(inbox.cell.reading_n, since_s)
         if since_s >= self._bin_s + BEFORE_S:
             self._bin_s = since_s
             if self._samples:
@@ -348,7 +348,9 @@ class LoadStep:
         self._mean_n = self._first_n + mean
         self._rms_n = math.sqrt(max(0.0, self._squares / self._samples - mean * mean))
         after_s = -STEP_WAIT_S if before else self._times_s / self._samples
-        self._ended.append(LoadBin(self._samples, self._mean_n, self._rms_n, after_s, inbox.cell.temperature_c))
+        self._ended.append(
+            LoadBin(self._samples, self._mean_n, self._rms_n, after_s, inbox.cell_correction.temperature_c)
+        )
         self._samples = 0
 
 

@@ -54,14 +54,18 @@ class LockstepStage:
     def moment(self) -> Moment:
         """See `Stage`."""
         loop = self._rig.loop
-        vertical_n = loop.inbox.tension_n * math.cos(loop.inbox.tangential_rad) * math.cos(loop.inbox.normal_rad)
+        vertical_n = (
+            loop.inbox.cell.tension_n
+            * math.cos(loop.inbox.slope.tangential_rad)
+            * math.cos(loop.inbox.slope.normal_rad)
+        )
         return Moment(
             (self._rig.clock.now() - START_NS) * 1e-9,
             Mode(loop.machine.mode),
             vertical_n,
             loop.law.target_n,
-            loop.inbox.stroke_mm,
-            math.degrees(loop.inbox.tangential_rad),
+            loop.inbox.drive.stroke_mm,
+            math.degrees(loop.inbox.slope.tangential_rad),
             0.0,
         )
 

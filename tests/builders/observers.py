@@ -5,8 +5,6 @@ from __future__ import annotations
 from types import SimpleNamespace
 from typing import cast
 
-import can
-
 from rigctl.config.settings import RigSettings
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed, LastStroke
@@ -20,11 +18,12 @@ from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.signs import SignCheck
 from rigctl.control.stroke_hold import StrokeHold
 from rigctl.control.tension import Gains, TensionLaw
+from tests.builders import inboxes
 
 
 def alone(settings: RigSettings) -> tuple[Observer, Inbox, SimpleNamespace]:
     """The observer with its inbox, and the two figures that it reads of the outbox."""
-    inbox, sent = Inbox(cast("can.BusABC", None), settings), SimpleNamespace(synced_ns=0, controlword=0)
+    inbox, sent = inboxes.alone(settings), SimpleNamespace(synced_ns=0, controlword=0)
     observer = Observer(
         settings, inbox, cast("Outbox", sent), Machine(), TensionLaw(settings, Gains(0.0, 0.0, 0.0)),
         Homed(settings.cylinder, LastStroke()), Readback((), settings, 0), StrokeHold(settings),

@@ -283,7 +283,7 @@ def _command(settings: RigSettings, chance: random.Random, loop: Loop) -> tuple[
     low, high = settings.tension.target_min_n - 20, settings.tension.target_max_n + 20
     if kind < 0.7:
         verb = chance.choice(ONWARD[loop.machine.mode])
-        values = {Verb.CONFIRM_STROKE: loop.inbox.stroke_mm, Verb.RELEASE: chance.choice((0.0, 0.0, 5.0))}
+        values = {Verb.CONFIRM_STROKE: loop.inbox.drive.stroke_mm, Verb.RELEASE: chance.choice((0.0, 0.0, 5.0))}
         return verb, values.get(verb, chance.uniform(low, high))
     if kind < 0.8:
         return chance.randrange(256), chance.choice((math.nan, math.inf, -math.inf, 1e300, -1.0, 0.0))

@@ -138,7 +138,7 @@ def test_no_creep_beyond_its_bounds_is_taken_and_none_while_the_rope_is_regulate
         rig.run(0.2)
         assert rig.command(Setting.CREEP, 9e-4, 30.0, 2e-4, 600.0, math.nan) is Refusal.OUT_OF_RANGE
         assert rig.command(Setting.CREEP, 2e-4, 0.1, 2e-4, 600.0, math.nan) is Refusal.OUT_OF_RANGE
-        assert rig.loop.inbox.correction == Correction()
+        assert rig.loop.inbox.cell_correction.correction == Correction()
         assert rig.command(Setting.CREEP, 2e-4, 30.0, 2e-4, 600.0, math.nan) is Refusal.NONE
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert rig.command(Verb.TENSION) is Refusal.NONE
@@ -154,4 +154,4 @@ def test_a_loop_that_starts_under_load_says_that_it_does_not_know_the_history(
         (event,) = told[told["kind"] == Kind.CREEP]
         assert event["a"] == 0
         rig.run(0.1)
-        assert rig.loop.inbox.cell.doubt_n == pytest.approx(350.0 * 5e-4, rel=0.05)
+        assert rig.loop.inbox.cell_correction.doubt_n == pytest.approx(350.0 * 5e-4, rel=0.05)

@@ -82,8 +82,8 @@ def test_a_temperature_that_no_longer_comes_leaves_the_zero_and_says_so(settings
         tared(rig)
         assert rig.command(Verb.ARM) is Refusal.NONE
         identifier = od.CELL_TPDO2.cob_base + settings.tension_cell.node
-        del rig.loop.inbox._handlers[identifier]
-        rig.loop.inbox.warmth_t_ns -= 59_500_000_000
+        del rig.loop.inbox._channels[identifier]
+        rig.loop.inbox.cell_temperature.t_ns -= 59_500_000_000
         rig.events.read()
         records = rig.run(1.0)
         told = rig.events.read()

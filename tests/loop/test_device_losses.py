@@ -95,7 +95,7 @@ def test_overload_of_the_cell_trips_and_keeps_the_fault_until_it_is_over(rig: Lo
     rig.inject(overload)
     rig.loop.tick()
     assert rig.loop.machine.fault is Fault.CELL_INVALID
-    assert rig.loop.inbox.cell_quality == Quality.SATURATED
+    assert rig.loop.inbox.cell.quality == Quality.SATURATED
     assert_held(rig, before.tension_n, before.stroke_mm)
     rig.inject(overload)
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT

@@ -90,11 +90,11 @@ def test_a_sample_of_two_frames_is_fresh_only_when_both_have_come(stock: Lockste
     assert inbox.drive_fresh
     drop(stock, base + DRIVE_NODE, 3)
     stock.loop.tick()  # uses the values of the previous SYNC
-    before = inbox.drive_t_ns
+    before = inbox.drive.t_ns
     for _ in range(3):
         stock.loop.tick()
         assert not inbox.drive_fresh
-    assert inbox.drive_t_ns == before
+    assert inbox.drive.t_ns == before
     stock.run(0.002)
     assert inbox.drive_fresh
     assert inbox.frames_missing() == 3

@@ -282,7 +282,7 @@ def test_an_nmt_start_that_is_not_taken_is_repeated(
     with lockstep(settings, gains) as rig:
         rig.run(2.0)
         started = refused < 3
-        assert rig.loop.inbox.states[node] == (NmtState.OPERATIONAL if started else NmtState.PRE_OPERATIONAL)
+        assert rig.loop.inbox.network.states[node] == (NmtState.OPERATIONAL if started else NmtState.PRE_OPERATIONAL)
         if name in ("second_force", "rail_encoder"):  # the first bars arming without a zero, the second never does
             return
         assert rig.command(Verb.ARM) is (Refusal.NONE if started else Refusal.PREFLIGHT)

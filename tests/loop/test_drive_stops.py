@@ -149,7 +149,7 @@ def test_a_quick_stop_at_speed_ends_with_the_brake_closed_and_the_tension_held(r
     assert objects.Controlword.DISABLE_VOLTAGE not in words  # power is never cut at once on a drive that obeys
     assert abs(rig.rig.truth.stroke_mm - before.stroke_mm) < 0.4  # 8 mm/s: 0.06 mm of ramp, 0.2 mm of lag
     assert rig.rig.truth.tension_n == pytest.approx(before.tension_n, abs=2.5)
-    assert drive_state(rig.loop.inbox.statusword) in objects.OFF_STATES
+    assert drive_state(rig.loop.inbox.drive.statusword) in objects.OFF_STATES
 
 
 @pytest.mark.parametrize("speed_mm_s", [10.0, -10.0])

@@ -141,7 +141,7 @@ def test_and_bars_arming(rig: Lockstep, bit: int, on: bool) -> None:
 
 def test_the_simulated_drive_sets_its_bits_as_cia_402_says(rig: Lockstep, enter: Enter) -> None:
     def bits() -> tuple[bool, bool, bool]:
-        word = rig.loop.inbox.statusword
+        word = rig.loop.inbox.drive.statusword
         return tuple(  # type: ignore[return-value]
             bool(word & bit) for bit in (objects.STATUS_REMOTE, objects.STATUS_INTERNAL_LIMIT, objects.STATUS_FOLLOWS)
         )

@@ -112,7 +112,7 @@ def test_a_jump_while_armed_takes_the_drive_off_power_and_waits_for_the_operator
     assert rig.command(Verb.RESET) is Refusal.CAUSE_PRESENT
     assert rig.reply["cause"] == Fault.STROKE_JUMPED
     assert rig.command(Verb.CONFIRM_STROKE, before_mm) is Refusal.STROKE_DIFFERS
-    assert rig.command(Verb.CONFIRM_STROKE, rig.loop.inbox.stroke_mm) is Refusal.NONE
+    assert rig.command(Verb.CONFIRM_STROKE, rig.loop.inbox.drive.stroke_mm) is Refusal.NONE
     assert rig.command(Verb.RESET) is Refusal.NONE
 
 

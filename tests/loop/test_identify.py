@@ -155,7 +155,7 @@ def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gain
         rig.run(0.2)
         assert rig.command(Verb.ARM) is Refusal.NONE
         assert rig.command(Verb.TENSION) is Refusal.NONE
-        while rig.loop.inbox.tension_n < 9.5:
+        while rig.loop.inbox.cell.tension_n < 9.5:
             rig.loop.tick()
         assert rig.command(Verb.HOLD) is Refusal.NONE
         rig.run(1.0)
@@ -171,7 +171,7 @@ def test_a_play_that_the_load_does_not_seat_is_found(settings: RigSettings, gain
 def test_anything_ends_it_within_a_tick_and_the_stroke_is_held(held: Lockstep, what: str) -> None:
     before = held.rig.truth.stroke_mm
     give(held, Verb.IDENTIFY)
-    while abs(held.loop.inbox.speed_mm_s) < 2.0:
+    while abs(held.loop.inbox.drive.speed_mm_s) < 2.0:
         held.loop.tick()
     verbs = {"hold": Verb.HOLD, "tension": Verb.TENSION, "disarm": Verb.DISARM}
     if what in verbs:

@@ -71,7 +71,7 @@ def test_pressed_at_the_io_node_alone_the_loop_stops_the_drive_and_latches(rig: 
     assert ticks_until_fault(rig, 7) <= IO.inhibit_ms + 2
     assert latched(rig) == (Mode.FAULT, Fault.E_STOP, Action.QUICK_STOP)
     assert trip_value(rig) == EStop.IO_NODE
-    assert not rig.loop.inbox.e_stop  # the drive's own input, which is not open
+    assert not rig.loop.inbox.drive_status.e_stop  # the drive's own input, which is not open
     assert rig.rig.drive.errors == ()
     rig.run(0.5)
     assert rig.rig.drive.control.stage.phase is StagePhase.BRAKED

@@ -201,8 +201,8 @@ def test_what_a_tick_found_is_reported_though_its_record_fails(rig: Lockstep) ->
     rig.run(0.02)
     rig.events.read()
     with failing(rig, LoopStep.WRITE_RECORD):
-        rig.loop.inbox.e_stop = rig.loop.inbox.restarted = True
-        rig.loop.inbox._notices.emergencies.append((2, 0x8110, b""))
+        rig.loop.inbox.drive_status.e_stop = rig.loop.inbox.network.restarted = True
+        rig.loop.inbox.network._notices.emergencies.append((2, 0x8110, b""))
         rig.run(0.001)
     rig.run(0.002)
     found = rig.events.read()
@@ -249,7 +249,7 @@ def test_stopping_in_the_closed_loop_ends_in_hold_with_the_brake_closed(rig: Loc
             break
     assert rig.loop.finished
     assert rig.loop.machine.mode == Mode.HOLD
-    assert od.drive_state(rig.loop.inbox.statusword) is not od.DriveState.OPERATION_ENABLED
+    assert od.drive_state(rig.loop.inbox.drive.statusword) is not od.DriveState.OPERATION_ENABLED
     for _ in range(500):
         rig.clock.next_tick()
     assert rig.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.1)

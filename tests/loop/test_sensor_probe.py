@@ -73,7 +73,7 @@ def test_a_cell_frozen_with_its_noise_and_an_offset_moves_the_load_by_a_tenth_at
         found = Watched(run, reads(CELL, plus=offset_n, noise=CELL_NOISE_N, freezes=True)).play(30.0)
         assert found.fault is Fault.LOAD_UNSEEN
         assert found.worst_n < UNSEEN * 300.0
-        assert abs(run.loop.inbox.tension_n - 300.0) < 1.0  # nothing of it was shown
+        assert abs(run.loop.inbox.cell.tension_n - 300.0) < 1.0  # nothing of it was shown
 
 
 @pytest.mark.study

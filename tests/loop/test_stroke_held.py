@@ -172,8 +172,8 @@ def test_the_issues_creep_no_longer_ends_at_733_newtons(settings: RigSettings, g
 def test_hold_at_speed_is_bumpless_and_is_not_pulled_back(rig: Lockstep, enter: Callable[[Mode], None],
                                                           speed_up: bool) -> None:  # fmt: skip
     enter(Mode.TENSIONING if speed_up else Mode.RELEASING)
-    assert abs(rig.loop.inbox.speed_mm_s) > 5.0
-    direction = np.sign(rig.loop.inbox.speed_mm_s)
+    assert abs(rig.loop.inbox.drive.speed_mm_s) > 5.0
+    direction = np.sign(rig.loop.inbox.drive.speed_mm_s)
     assert rig.command(Verb.HOLD) is Refusal.NONE
     records = rig.run(2.0)
     commands, strokes = records["command_mm_s"] * direction, records["stroke_mm"] * direction

@@ -54,7 +54,7 @@ def test_a_tare_measures_first_and_changes_nothing_until_it_is_on_record(rig: Lo
     told = rig.events.read()
     assert list(told["kind"]) == [Kind.CORRECTION]
     assert rig.run(0.1)["tension_n"].mean() == pytest.approx(0.0, abs=0.02)
-    assert rig.loop.inbox.reading_n == pytest.approx(OFFSET_N, abs=0.2)
+    assert rig.loop.inbox.cell.reading_n == pytest.approx(OFFSET_N, abs=0.2)
 
 
 @pytest.mark.gate("2", "5")
@@ -99,7 +99,7 @@ def test_no_zero_and_no_scale_beyond_its_bound_is_taken(rig: Lockstep, value: fl
     assert rig.command(Setting.ZERO, value) is Refusal.OUT_OF_RANGE
     assert rig.command(Setting.SCALE, 1.021) is Refusal.OUT_OF_RANGE
     assert rig.command(Setting.SCALE, 0.979) is Refusal.OUT_OF_RANGE
-    assert rig.loop.inbox.correction == Correction()
+    assert rig.loop.inbox.cell_correction.correction == Correction()
 
 
 @pytest.mark.parametrize("what", ["hold", "arm", "target", "bad sample", "silence", "stop"])
@@ -122,7 +122,7 @@ def test_anything_that_comes_in_between_ends_a_tare(rig: Lockstep, what: str) ->
     assert reply["id"] == 1
     lost = what in ("bad sample", "silence")
     assert reply["reason"] == (Refusal.NO_SAMPLES if lost else Refusal.ABORTED)
-    assert rig.loop.inbox.correction == Correction()
+    assert rig.loop.inbox.cell_correction.correction == Correction()
 
 
 def test_a_known_weight_reads_as_it_is_and_a_scale_corrects_it(rig: Lockstep, enter: Enter) -> None:
@@ -145,7 +145,7 @@ def test_a_known_weight_reads_as_it_is_and_a_scale_corrects_it(rig: Lockstep, en
 def test_an_overdue_calibration_blocks_arming_and_nothing_else(settings: RigSettings, gains: Gains) -> None:
     with lockstep(settings, gains, correction=Correction(1.0, 1.01, overdue=True)) as rig:
         rig.run(0.2)
-        assert rig.loop.inbox.correction == Correction(1.0, 1.01, overdue=True)
+        assert rig.loop.inbox.cell_correction.correction == Correction(1.0, 1.01, overdue=True)
         assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
         assert rig.reply["checks"] == Check.CALIBRATION
         assert rig.command(Verb.CALIBRATE) is Refusal.NONE
@@ -161,5 +161,5 @@ def test_a_tare_cannot_hide_an_overload(rig: Lockstep) -> None:
     assert rig.command(Setting.ZERO, 9.5) is Refusal.NONE
     cell_reads(rig, lambda n: n + 401.0)
     rig.run(0.1)
-    assert rig.loop.inbox.tension_n < rig.settings.safety.tension_high_n
+    assert rig.loop.inbox.cell.tension_n < rig.settings.safety.tension_high_n
     assert rig.loop.machine.fault in (Fault.LIMIT, Fault.TENSION_HIGH)  # the tension's rate is a limit of the rig file

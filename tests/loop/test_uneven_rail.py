@@ -125,7 +125,7 @@ def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSett
         assert (records["rail_quality"] == Quality.INVALID).all()
         assert rig.loop.machine.mode is Mode.COMPENSATING
         assert rig.loop.machine.fault is Fault.NONE
-        assert not rig.loop.inbox.restarted
+        assert not rig.loop.inbox.network.restarted
 
 
 def test_an_encoder_that_counts_otherwise_ends_the_start(settings: RigSettings, gains: Gains) -> None:

@@ -62,7 +62,10 @@ class CellBench:
         self.celsius = simulation.cell.temperature_c
         self.reading_n = self.tension_n = 0.0
         self._snapshot = Snapshot(cell_age_ns=0, cell_heard=True)
-        self._inbox: Any = SimpleNamespace(cell=self.cell, second=None, cell_fresh=True, speed_mm_s=0.0, stroke_mm=0.0)
+        self._inbox: Any = SimpleNamespace(
+            cell=SimpleNamespace(), cell_correction=self.cell, cell_fresh=True,
+            drive=SimpleNamespace(speed_mm_s=0.0, stroke_mm=0.0),
+        )  # fmt: skip
 
     @property
     def load_n(self) -> float:
@@ -131,7 +134,7 @@ class CellBench:
         Raises:
             BenchError: the loop would refuse it.
         """
-        self._inbox.tension_n = self.tension_n
+        self._inbox.cell.tension_n = self.tension_n
         trial = LoadStep(self._slow, self._inbox, seconds, None)
         found: list[LoadBin] = []
         since_s, verdict = 0.0, None
@@ -147,6 +150,6 @@ class CellBench:
         return found[first - 1 :]
 
     def _see(self, trial: Trial) -> Refusal | None:
-        self._inbox.reading_n, self._inbox.tension_n = self.reading_n, self.tension_n
+        self._inbox.cell.reading_n, self._inbox.cell.tension_n = self.reading_n, self.tension_n
         self._snapshot.t_ns = self._load.t_ns
         return trial.see(self._inbox, self._snapshot)

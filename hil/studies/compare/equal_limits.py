@@ -20,7 +20,7 @@ from hil.studies.compare.compared_runs import ComparedRun
 from hil.studies.compare.comparison import WAIVER, judge
 from hil.studies.compare.measured_ms import Peak, measured
 from hil.studies.compare.rivals import OURS
-from hil.studies.compare.rivals.feedback import Rival
+from hil.studies.compare.rivals.feedback import Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
 from hil.studies.compare.tuned_laws import TunedLaw, knobs_of, tuned
 from rigctl.config.settings import RigSettings
@@ -187,7 +187,7 @@ def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
     make = TUNABLE[law.name].make
 
     def rival(settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
-        return Rival(settings, gains, inbox, make(settings, law.values))
+        return Rival(settings, gains, Newest(inbox.cell, inbox.drive, inbox.slope), make(settings, law.values))
 
     return LoopLaw(known.settings, design(known.settings), rival)
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from hil.studies.compare import law_robustness
 from hil.studies.compare.rivals import OURS
-from hil.studies.compare.rivals.feedback import Feedback, Model, Rival
+from hil.studies.compare.rivals.feedback import Feedback, Model, Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Estimate, Gains
@@ -60,7 +60,7 @@ class TunedLaw(NamedTuple):
 
 @dataclass
 class NewestSample:
-    """What a rival reads, in the place of the loop's inbox."""
+    """What a rival reads, in the place of the channels of the loop's inbox."""
 
     tension_n: float = 0.0
     speed_mm_s: float = 0.0
@@ -80,7 +80,8 @@ class RivalTicks:
     def start(self, target_n: float) -> None:
         """See `TickedLaw`."""
         self._newest = NewestSample(target_n)
-        self._law = Rival(self._settings, Gains(0.0, 0.0, 0.0), self._newest, self._make())
+        newest = Newest(self._newest, self._newest, self._newest)
+        self._law = Rival(self._settings, Gains(0.0, 0.0, 0.0), newest, self._make())
         self._law.target_n = target_n
         self._law.start_ramp(target_n, 0.0)
 

@@ -50,7 +50,7 @@ class Predicting(TensionLaw):
         """The law's command with the disturbance ahead of the filter's."""
         inbox, slope = self._inbox, self._slope
         if inbox.slope_fresh:
-            slope.update(inbox.tangential_rad, inbox.normal_rad)
+            slope.update(inbox.slope.tangential_rad, inbox.slope.normal_rad)
         else:
             slope.absent()
         slope.pass_ticks(1)

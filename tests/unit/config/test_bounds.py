@@ -168,11 +168,11 @@ def test_check_says_how_far_a_stop_goes_and_what_it_makes() -> None:
 
 
 def test_figures_taken_from_the_loop_are_the_loops() -> None:
-    from rigctl.control import cell_step, inbox, safety
+    from rigctl.control import cell_step, channels, safety
 
     assert config_bounds.PAYLOAD_MM_S == cell_step.PAYLOAD_MM_S
     assert config_bounds.NOISY == safety.UNREST_NOISES
-    assert config_bounds.OVERRANGE == inbox.OVERRANGE
+    assert config_bounds.OVERRANGE == channels.OVERRANGE
 
 
 def test_the_page_is_what_the_table_gives() -> None:

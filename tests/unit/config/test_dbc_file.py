@@ -100,7 +100,7 @@ def test_the_control_process_never_imports_cantools() -> None:
     code = (
         "import json, sys; from rigctl.control import control_process; from rigctl.config.settings import RigSettings\n"
         "from rigctl.control.inbox import Inbox\n"
-        "Inbox(None, RigSettings.model_validate(json.loads(sys.stdin.read())))\n"
+        "Inbox(None, RigSettings.model_validate(json.loads(sys.stdin.read())), None, None)\n"
         "sys.exit('cantools' in sys.modules)"
     )
     settings = config.load(CONFIG / "plain_rig.yaml").model_dump_json()

@@ -26,14 +26,14 @@ def played(
 ) -> tuple[Refusal, np.ndarray[tuple[int, int], np.dtype[np.float64]]]:
     """The trial's end, and its ticks: speed wanted, stroke from the start, tension from the start."""
     inbox, rows = Bench(settings).inbox, []
-    inbox.tension_n, inbox.stroke_mm = start_n, START_MM
+    inbox.cell.tension_n, inbox.drive.stroke_mm = start_n, START_MM
     trial, snapshot, ended = FrequencyTrial(settings, inbox, regulated=regulated), Snapshot(), None
     while ended is None:
         ended = trial.see(inbox, snapshot)
-        rows.append((trial.wanted_mm_s, inbox.stroke_mm - START_MM, inbox.tension_n - start_n))
-        inbox.stroke_mm += trial.wanted_mm_s / settings.loop.rate_hz
-        inbox.tension_n = start_n + tension(inbox.stroke_mm - START_MM, len(rows))
-        snapshot.vertical_error_n = inbox.tension_n - start_n
+        rows.append((trial.wanted_mm_s, inbox.drive.stroke_mm - START_MM, inbox.cell.tension_n - start_n))
+        inbox.drive.stroke_mm += trial.wanted_mm_s / settings.loop.rate_hz
+        inbox.cell.tension_n = start_n + tension(inbox.drive.stroke_mm - START_MM, len(rows))
+        snapshot.vertical_error_n = inbox.cell.tension_n - start_n
     assert len(rows) < LONGEST_S * settings.loop.rate_hz
     return ended, np.array(rows)
 
@@ -121,10 +121,10 @@ def test_a_tension_that_strays_ends_it_in_that_tick(regulated: bool) -> None:
 
 def test_a_stroke_that_strays_ends_it() -> None:
     inbox = Bench(RIG).inbox
-    inbox.tension_n, inbox.stroke_mm = START_N, START_MM
+    inbox.cell.tension_n, inbox.drive.stroke_mm = START_N, START_MM
     trial = FrequencyTrial(RIG, inbox, regulated=False)
     assert trial.see(inbox, Snapshot()) is None
-    inbox.stroke_mm += HELD.stroke_mm + frequency_trial.STRAY_MM + 0.01
+    inbox.drive.stroke_mm += HELD.stroke_mm + frequency_trial.STRAY_MM + 0.01
     assert trial.see(inbox, Snapshot()) is Refusal.STRAYED
 
 
@@ -136,7 +136,7 @@ def test_it_does_not_begin_near_an_end_of_the_stroke_or_a_limit_of_the_tension(
     stroke_mm: float, tension_n: float
 ) -> None:
     inbox = Bench(RIG).inbox
-    inbox.tension_n, inbox.stroke_mm = tension_n, stroke_mm
+    inbox.cell.tension_n, inbox.drive.stroke_mm = tension_n, stroke_mm
     trial = FrequencyTrial(RIG, inbox, regulated=False)
     assert trial.see(inbox, Snapshot()) is Refusal.STRAYED
     assert trial.wanted_mm_s == 0.0

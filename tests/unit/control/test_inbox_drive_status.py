@@ -30,53 +30,53 @@ def emergency(code: int) -> bytes:
 
 def test_current_is_by_the_rated_one_and_nothing_is_known_at_first() -> None:
     bench = Bench(RIG)
-    assert math.isnan(bench.inbox.drive_current_a + bench.inbox.drive_temperature_c)
+    assert math.isnan(bench.inbox.drive_status.current_a + bench.inbox.drive_status.temperature_c)
     bench.give(STATUS, status(-250, 415))
-    assert bench.inbox.drive_current_a == pytest.approx(-0.25 * 3.0)
-    assert bench.inbox.drive_temperature_c == pytest.approx(41.5)
-    assert bench.inbox.drive_status_t_ns == bench.t_ns
+    assert bench.inbox.drive_status.current_a == pytest.approx(-0.25 * 3.0)
+    assert bench.inbox.drive_status.temperature_c == pytest.approx(41.5)
+    assert bench.inbox.drive_status.t_ns == bench.t_ns
 
 
 def test_the_emergency_stop_is_the_newest_of_message_and_input() -> None:
     bench = Bench(RIG)
     bench.give(STATUS, status())
-    assert not bench.inbox.e_stop
+    assert not bench.inbox.drive_status.e_stop
     bench.give(EMERGENCY, emergency(od.EmcyCode.HEARTBEAT_LOST))
-    assert not bench.inbox.e_stop  # an emergency message of another cause
+    assert not bench.inbox.drive_status.e_stop  # an emergency message of another cause
     bench.give(EMERGENCY, emergency(od.EmcyCode.EXTERNAL))
-    assert bench.inbox.e_stop
+    assert bench.inbox.drive_status.e_stop
     bench.give(STATUS, status(inputs=OPEN | 0xFFFE_FFFF))
-    assert bench.inbox.e_stop
+    assert bench.inbox.drive_status.e_stop
     bench.give(EMERGENCY, emergency(od.EmcyCode.NO_ERROR))
-    assert bench.inbox.e_stop  # the input decides
+    assert bench.inbox.drive_status.e_stop  # the input decides
     bench.give(STATUS, status())
-    assert not bench.inbox.e_stop
+    assert not bench.inbox.drive_status.e_stop
 
 
 def test_without_an_emergency_stop_input_none_of_the_drives_inputs_is_one() -> None:
     bench = Bench(changed(RIG, {"cylinder.e_stop_input": None}))
     for inputs in (0, 1, CLOSED, 0xFFFF_FFFF):
         bench.give(STATUS, status(inputs=inputs))
-        assert not bench.inbox.e_stop
+        assert not bench.inbox.drive_status.e_stop
 
 
 def test_the_same_message_of_another_device_is_no_emergency_stop() -> None:
     bench = Bench(RIG)
     bench.give(od.EMCY_BASE + RIG.tension_cell.node, emergency(od.EmcyCode.EXTERNAL))
-    assert not bench.inbox.e_stop
+    assert not bench.inbox.drive_status.e_stop
 
 
 def test_without_one_fitted_neither_is_one() -> None:
     bench = Bench(RIG.model_copy(update={"cylinder": RIG.cylinder.model_copy(update={"e_stop_input": None})}))
     bench.give(STATUS, status(inputs=OPEN))
     bench.give(EMERGENCY, emergency(od.EmcyCode.EXTERNAL))
-    assert not bench.inbox.e_stop
+    assert not bench.inbox.drive_status.e_stop
 
 
 def test_a_status_of_a_wrong_length_is_refused() -> None:
     bench = Bench(RIG)
     bench.give(STATUS, status()[:7])
-    assert (bench.inbox.refused, bench.inbox.drive_status_t_ns < 0) == (1, True)
+    assert (bench.inbox.refused, bench.inbox.drive_status.t_ns < 0) == (1, True)
 
 
 def test_a_status_that_does_not_come_is_missing() -> None:

@@ -26,18 +26,18 @@ CLOSED, OPEN = b"\x08", b"\xf7"
 
 def test_nothing_is_seen_at_first_and_every_frame_is_an_age() -> None:
     bench = Bench(RIG)
-    assert bench.inbox.io_t_ns < 0
-    assert not bench.inbox.io_e_stop
+    assert bench.inbox.inputs.t_ns < 0
+    assert not bench.inbox.inputs.e_stop
     bench.give(INPUTS, CLOSED)
-    assert (bench.inbox.io_e_stop, bench.inbox.io_t_ns) == (False, bench.t_ns)
+    assert (bench.inbox.inputs.e_stop, bench.inbox.inputs.t_ns) == (False, bench.t_ns)
 
 
 def test_only_its_own_bit_is_the_stop_and_open_is_pressed() -> None:
     bench = Bench(RIG)
     for data, pressed in ((OPEN, True), (CLOSED, False), (b"\x00", True), (b"\xff", False)):
         bench.give(INPUTS, data)
-        assert bench.inbox.io_e_stop is pressed
-    assert not bench.inbox.e_stop  # that is the drive's input
+        assert bench.inbox.inputs.e_stop is pressed
+    assert not bench.inbox.drive_status.e_stop  # that is the drive's input
 
 
 def test_a_contact_that_bounces_between_two_ticks_was_pressed() -> None:
@@ -45,22 +45,22 @@ def test_a_contact_that_bounces_between_two_ticks_was_pressed() -> None:
     for data in (OPEN, CLOSED):
         bench.bus.send(can.Message(arbitration_id=INPUTS, data=data, is_extended_id=False))
     bench.inbox.drain(7_000_000, 7)
-    assert bench.inbox.io_e_stop
+    assert bench.inbox.inputs.e_stop
     bench.give(INPUTS, CLOSED)
-    assert bench.inbox.io_e_stop is (bench.t_ns == 7_000_000)
+    assert bench.inbox.inputs.e_stop is (bench.t_ns == 7_000_000)
     bench.inbox.drain(8_000_000, 8)
     bench.t_ns = 8_000_000
     bench.give(INPUTS, CLOSED)
-    assert not bench.inbox.io_e_stop
+    assert not bench.inbox.inputs.e_stop
 
 
 @pytest.mark.parametrize("data", [b"", b"\x08\x00", bytes(8)])
 def test_a_frame_of_a_wrong_length_is_refused_and_makes_nothing_younger(data: bytes) -> None:
     bench = Bench(RIG)
     bench.give(INPUTS, CLOSED)
-    seen_ns = bench.inbox.io_t_ns
+    seen_ns = bench.inbox.inputs.t_ns
     bench.give(INPUTS, data)
-    assert (bench.inbox.refused, bench.inbox.io_t_ns, bench.inbox.io_e_stop) == (1, seen_ns, False)
+    assert (bench.inbox.refused, bench.inbox.inputs.t_ns, bench.inbox.inputs.e_stop) == (1, seen_ns, False)
 
 
 def test_its_frames_are_due_to_no_sync() -> None:
@@ -74,13 +74,17 @@ def test_its_frames_are_due_to_no_sync() -> None:
 def test_its_emergency_is_a_devices_and_its_boot_up_a_restart() -> None:
     bench = Bench(RIG)
     bench.give(od.EMCY_BASE + IO.node, struct.pack("<HB5x", od.EmcyCode.EXTERNAL, 1))
-    assert (bench.inbox.sensor_emergency != 0, bench.inbox.drive_emergency, bench.inbox.e_stop) == (True, 0, False)
+    assert (
+        bench.inbox.network.sensor_emergency != 0,
+        bench.inbox.network.drive_emergency,
+        bench.inbox.drive_status.e_stop,
+    ) == (True, 0, False)
     bench.give(od.EMCY_BASE + IO.node, bytes(8))
-    assert bench.inbox.sensor_emergency == 0
+    assert bench.inbox.network.sensor_emergency == 0
     bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.OPERATIONAL]))
-    assert not bench.inbox.restarted
+    assert not bench.inbox.network.restarted
     bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.BOOT_UP]))
-    assert bench.inbox.restarted
+    assert bench.inbox.network.restarted
 
 
 def test_the_receive_filters_let_its_frames_through_and_only_where_it_is_fitted() -> None:
@@ -92,8 +96,8 @@ def test_the_receive_filters_let_its_frames_through_and_only_where_it_is_fitted(
 def test_without_one_fitted_its_frames_mean_nothing() -> None:
     bench = Bench(PAPER)
     bench.give(INPUTS, OPEN)
-    assert not bench.inbox.io_e_stop
-    assert bench.inbox.io_t_ns < 0
+    assert not bench.inbox.inputs.e_stop
+    assert bench.inbox.inputs.t_ns < 0
 
 
 @pytest.mark.parametrize(

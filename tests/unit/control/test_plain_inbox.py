@@ -14,10 +14,10 @@ from rigctl.config.plain import PlainSignal
 from rigctl.config.sensor_sections import PlainMessages
 from rigctl.config.settings import RigSettings
 from rigctl.control.control_process import receive_filters
-from rigctl.control.inbox import Inbox
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
 from rigctl.ipc.record import Quality
+from tests.builders import inboxes
 from tests.builders.paths import ROOT
 
 CONFIG = ROOT / "config"
@@ -42,7 +42,7 @@ class Queue(can.BusABC):
 class Bench:
     def __init__(self, settings: RigSettings = PLAIN) -> None:
         self.bus = Queue()
-        self.inbox = Inbox(self.bus, settings)
+        self.inbox = inboxes.alone(settings, self.bus)
         self.t_ns = 0
 
     def give(self, can_id: int, data: bytes, *, extended: bool = False) -> None:
@@ -54,8 +54,8 @@ class Bench:
 def test_a_tension_frame_is_a_fresh_sample() -> None:
     bench = Bench()
     bench.give(CELL.can_id, CELL.payload({"tension": 300.125, "valid": 1.0}))
-    assert bench.inbox.tension_n == pytest.approx(300.125, abs=1e-9)
-    assert (bench.inbox.cell_quality, bench.inbox.cell_t_ns, bench.inbox.cell_fresh) == (0, bench.t_ns, True)
+    assert bench.inbox.cell.tension_n == pytest.approx(300.125, abs=1e-9)
+    assert (bench.inbox.cell.quality, bench.inbox.cell.t_ns, bench.inbox.cell_fresh) == (0, bench.t_ns, True)
 
 
 def test_valid_0_is_seen_and_its_value_is_not_taken() -> None:
@@ -63,14 +63,14 @@ def test_valid_0_is_seen_and_its_value_is_not_taken() -> None:
     bench.give(CELL.can_id, CELL.payload({"tension": 300.0, "valid": 1.0}))
     bench.give(CELL.can_id, CELL.payload({"tension": 1.0, "valid": 0.0}))
     inbox = bench.inbox
-    assert (inbox.tension_n, inbox.cell_quality, inbox.cell_fresh) == (300.0, Quality.INVALID, False)
-    assert inbox.cell_t_ns == bench.t_ns
+    assert (inbox.cell.tension_n, inbox.cell.quality, inbox.cell_fresh) == (300.0, Quality.INVALID, False)
+    assert inbox.cell.t_ns == bench.t_ns
     assert inbox.refused == 0
     angles = {"tangential": 0.1, "normal": -0.1}
     bench.give(SLOPE.can_id, SLOPE.payload({**angles, "valid": 1.0}))
     bench.give(SLOPE.can_id, SLOPE.payload({"valid": 0.0}))
-    assert inbox.slope_quality == Quality.INVALID
-    assert (inbox.tangential_rad, inbox.normal_rad) == pytest.approx((0.1, -0.1), abs=math.radians(0.005))
+    assert inbox.slope.quality == Quality.INVALID
+    assert (inbox.slope.tangential_rad, inbox.slope.normal_rad) == pytest.approx((0.1, -0.1), abs=math.radians(0.005))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -83,7 +83,7 @@ def test_what_is_not_finite_is_invalid_counted_and_not_taken(value: float) -> No
     bench.give(message.can_id, struct.pack("<f", 42.0))
     bench.give(message.can_id, struct.pack("<f", value))
     inbox = bench.inbox
-    assert (inbox.tension_n, inbox.cell_quality, inbox.cell_fresh) == (42.0, Quality.INVALID, False)
+    assert (inbox.cell.tension_n, inbox.cell.quality, inbox.cell_fresh) == (42.0, Quality.INVALID, False)
     assert inbox.refused == 1
 
 
@@ -93,13 +93,13 @@ def test_a_wrong_length_is_refused_and_nothing_of_it_taken(size: int) -> None:
     for message in (CELL, SLOPE):
         bench.give(message.can_id, bytes(size))
     assert bench.inbox.refused == 2
-    assert (bench.inbox.cell_quality, bench.inbox.slope_quality) == (Quality.NEVER, Quality.NEVER)
+    assert (bench.inbox.cell.quality, bench.inbox.slope.quality) == (Quality.NEVER, Quality.NEVER)
 
 
 def test_an_extended_frame_with_the_same_number_is_another_frame() -> None:
     bench = Bench()
     bench.give(CELL.can_id, CELL.payload({"valid": 1.0}), extended=True)
-    assert bench.inbox.cell_quality == Quality.NEVER
+    assert bench.inbox.cell.quality == Quality.NEVER
 
 
 def test_plain_frames_are_never_missing() -> None:

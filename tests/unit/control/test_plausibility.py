@@ -7,15 +7,14 @@ import itertools
 import math
 from collections.abc import Callable
 
-import can
 import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
+from tests.builders import inboxes
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -31,9 +30,7 @@ class Stand:
     """Feeds the signals; the drive is on and the rope tight unless the test changes it."""
 
     def __init__(self, settings: RigSettings = SETTINGS) -> None:
-        bus = can.Bus(interface="virtual", channel="plausibility")
-        self.inbox = Inbox(bus, SETTINGS)
-        bus.shutdown()
+        self.inbox = inboxes.alone(SETTINGS)
         self.drive_enabled = True
         self.subject = Plausibility(settings)
         self.mode = Mode.COMPENSATING
@@ -47,8 +44,8 @@ class Stand:
             t = n * DT
             inbox.cell_fresh = inbox.drive_fresh = fresh(n)
             if fresh(n):
-                inbox.reading_n = inbox.tension_n = tension(t) + next(DITHER)
-                inbox.stroke_mm, inbox.speed_mm_s = stroke(t), speed(t)
+                inbox.cell.reading_n = inbox.cell.tension_n = tension(t) + next(DITHER)
+                inbox.drive.stroke_mm, inbox.drive.speed_mm_s = stroke(t), speed(t)
             self.look(command(t - DT), slack=slack)
             seen.append(copy.copy(self.subject))
         return seen
@@ -180,7 +177,7 @@ def test_equal_samples_in_a_row_are_counted_and_one_other_ends_it() -> None:
     counts = []
     for value in values:
         stand.inbox.cell_fresh, stand.inbox.drive_fresh = True, False
-        stand.inbox.reading_n = stand.inbox.tension_n = value
+        stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = value
         stand.look(0.0)
         counts.append(stand.subject.cell_repeats)
     assert counts == [*range(25), 0, 1, 2, 3]
@@ -205,8 +202,8 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
     for n in range(0, 600, 3):
         t = n * DT
         stand.inbox.cell_fresh = stand.inbox.drive_fresh = True
-        stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(t) + next(DITHER)
-        stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(t), speed(t)
+        stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = follow(stroke)(t) + next(DITHER)
+        stand.inbox.drive.stroke_mm, stand.inbox.drive.speed_mm_s = stroke(t), speed(t)
         stand.look(command(t - DT), 3)
         assert stand.subject.speed_error_mm_s < 1.6
         assert abs(stand.subject.stroke_error_mm) < 0.1
@@ -225,8 +222,8 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
         silent = late if ticks > 1 else silent - 1
         stand.inbox.cell_fresh = stand.inbox.drive_fresh = silent <= 0
         if silent <= 0:
-            stand.inbox.reading_n = stand.inbox.tension_n = follow(stroke)(n * DT) + next(DITHER)
-            stand.inbox.stroke_mm, stand.inbox.speed_mm_s = stroke(n * DT), speed(n * DT)
+            stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = follow(stroke)(n * DT) + next(DITHER)
+            stand.inbox.drive.stroke_mm, stand.inbox.drive.speed_mm_s = stroke(n * DT), speed(n * DT)
         stand.look(command((n - 1) * DT), ticks)
         assert abs(stand.subject.stroke_error_mm) < 0.05
         assert silent > 0 or stand.subject.speed_error_mm_s < 0.6

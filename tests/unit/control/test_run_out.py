@@ -195,14 +195,14 @@ def test_the_law_is_given_the_rails_speed_of_when_its_command_acts() -> None:
     encoder = RailEncoderSettings(counts_per_turn=1 << 20, rate_hz=1000)
     settings = SETTINGS.model_copy(update={"rail_encoder": encoder, "run_out": section})
     observer, inbox, _ = observers.alone(settings)
-    inbox.stroke_mm, inbox.rail_quality = 50.0, 0
+    inbox.drive.stroke_mm, inbox.rail.quality = 50.0, 0
     angle, k = math.radians(0.2), settings.plant.stiffness_n_mm
     found: list[tuple[float, float]] = []
     for tick in range(24_000):
         moving = tick % 3000 < 1800
         speed = (1.0 if tick // 3000 % 2 == 0 else -1.0) * rate * moving
-        inbox.tension_n = 300.0 + k * 0.02 * math.sin(math.tau * angle / wave_rad)
-        inbox.rail_rad, inbox.rail_t_ns = angle, tick * 1_000_000
+        inbox.cell.tension_n = 300.0 + k * 0.02 * math.sin(math.tau * angle / wave_rad)
+        inbox.rail.rad, inbox.rail.t_ns = angle, tick * 1_000_000
         inbox.cell_fresh = inbox.drive_fresh = inbox.rail_fresh = True
         observer.look(tick * 1_000_000, 0)
         estimate = observer.estimate(0, regulated=True)

@@ -41,7 +41,7 @@ def test_the_observer_alone_assigns_the_fields_of_the_snapshot_each_in_one_place
 def test_a_device_is_heard_while_its_newest_sample_is_not_older_than_the_limit() -> None:
     observer, inbox, _ = observers.alone(SETTINGS)
     limit_ns = SETTINGS.safety.stale_ms * 1_000_000
-    inbox.cell_t_ns, inbox.drive_t_ns = 0, 1
+    inbox.cell.t_ns, inbox.drive.t_ns = 0, 1
     observer.look(limit_ns, 0)
     assert (observer.snapshot.cell_heard, observer.snapshot.drive_heard) == (True, True)
     observer.look(limit_ns + 1, 0)

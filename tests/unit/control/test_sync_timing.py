@@ -62,10 +62,10 @@ def test_a_sync_later_than_a_period_changes_no_estimate(late_ms: float, known: b
 def stretched_with_a_last_sync_at(last_ms: float) -> float:
     """The estimate of the disturbance speed; each SYNC was sent 0.1 ms after its grid point, the last one here."""
     observer, inbox, sent = observers.alone(SETTINGS)
-    inbox.stroke_mm = 50.0
+    inbox.drive.stroke_mm = 50.0
     for tick in range(200):
         now_ns = (1000 + tick) * MS
-        inbox.tension_n = 300.0 + K * 6e-3 * tick
+        inbox.cell.tension_n = 300.0 + K * 6e-3 * tick
         inbox.cell_fresh = inbox.drive_fresh = True
         observer.look(now_ns, 0)
         observer.look_at_control(now_ns, 0, (50.0, 300.0))

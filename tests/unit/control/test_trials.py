@@ -21,22 +21,22 @@ def steps_of(skips: dict[int, int]) -> tuple[list[tuple[float, int]], float, flo
     ``skips``: ticks skipped before the tick of that number.
     """
     inbox, dt = Bench(RIG).inbox, 1.0 / RIG.loop.rate_hz
-    inbox.tension_n, inbox.stroke_mm = 100.0, 50.0
+    inbox.cell.tension_n, inbox.drive.stroke_mm = 100.0, 50.0
     excitation, snapshot, speeds = Excitation(RIG, inbox), Snapshot(), list[float]()
     ended, number = None, 0
     while ended is None:
         passed = 1 + skips.get(number, 0)
         speeds += [excitation.wanted_mm_s] * (passed - 1)
-        inbox.stroke_mm += excitation.wanted_mm_s * (passed - 1) * dt
+        inbox.drive.stroke_mm += excitation.wanted_mm_s * (passed - 1) * dt
         snapshot.t_ns += passed * RIG.loop.period_ns
         ended = excitation.see(inbox, snapshot)
         speeds.append(excitation.wanted_mm_s)
-        inbox.stroke_mm += excitation.wanted_mm_s * dt
-        inbox.tension_n = 100.0 + RIG.plant.stiffness_n_mm * (inbox.stroke_mm - 50.0)
+        inbox.drive.stroke_mm += excitation.wanted_mm_s * dt
+        inbox.cell.tension_n = 100.0 + RIG.plant.stiffness_n_mm * (inbox.drive.stroke_mm - 50.0)
         number += 1
     assert ended is Refusal.NONE
     steps = [(speed, len(list(ticks))) for speed, ticks in itertools.groupby(speeds) if speed]
-    return steps, inbox.stroke_mm, excitation.figures["duration_s"] * RIG.loop.rate_hz - len(speeds)
+    return steps, inbox.drive.stroke_mm, excitation.figures["duration_s"] * RIG.loop.rate_hz - len(speeds)
 
 
 def test_every_step_up_is_followed_by_the_same_step_down_so_that_the_stroke_ends_where_it_began() -> None:

@@ -41,11 +41,11 @@ def test_a_dither_moves_the_stroke_by_its_amplitude_behind_the_drives_lag() -> N
 @pytest.mark.parametrize(("by", "share"), [("rate", 1.0), ("acceleration", 1.0)])
 def test_a_prediction_adds_the_change_of_the_stretch_until_the_cylinder_follows(by: Any, share: float) -> None:
     rate, plant = 0.1, SETTINGS.plant
-    inbox: Any = SimpleNamespace(slope_fresh=False, tangential_rad=0.0, normal_rad=0.0)
+    inbox: Any = SimpleNamespace(slope_fresh=False, slope=SimpleNamespace(tangential_rad=0.0, normal_rad=0.0))
     law = on_target(Predicting(SETTINGS, GAINS, cast(Inbox, inbox), by))
     command = 0.0
     for tick in range(2000):
-        inbox.slope_fresh, inbox.tangential_rad = tick % 10 == 0, rate * tick * 1e-3
+        inbox.slope_fresh, inbox.slope.tangential_rad = tick % 10 == 0, rate * tick * 1e-3
         command = law.compensating(AT_REST, 1.0)
     ahead_s = plant.command_delay_s + plant.cylinder_lag_s
     assert -command == pytest.approx(share * plant.rope_length_mm * rate**2 * ahead_s, rel=0.02)

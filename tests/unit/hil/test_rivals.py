@@ -14,10 +14,11 @@ from hil.studies.compare.law_robustness import REST, Robustness, response, robus
 from hil.studies.compare.rivals import LAWS, OURS, PASSIVE
 from hil.studies.compare.rivals.adrc import Adrc
 from hil.studies.compare.rivals.disturbance_observer import DisturbanceObserver
-from hil.studies.compare.rivals.feedback import Feedback, Model, Rival
+from hil.studies.compare.rivals.feedback import Feedback, Model, Newest, Rival
 from hil.studies.compare.rivals.lqi import Lqi, bryson, kalman_gain
 from hil.studies.compare.rivals.pid import STRETCH_LAG_S, PidFeedForward
 from hil.studies.compare.rivals.proportional import Proportional, ProportionalIntegral, ultimate
+from hil.studies.compare.tuned_laws import NewestSample
 from rigctl.control.estimator import filter_model
 from rigctl.control.tension import Estimate, Gains
 from rigctl.design.plant_family import Member, member
@@ -178,24 +179,16 @@ def test_robustness_is_that_of_the_published_rules_and_ours_is_the_most_robust()
     assert own["p"] > 3.0  # a gain margin of two beside a lag: the known weakness of the rule
 
 
-class _Inbox:
-    """The fields of the inbox that a rival reads."""
-
-    def __init__(self, tension_n: float) -> None:
-        self.tension_n, self.speed_mm_s = tension_n, 0.0
-        self.tangential_rad = self.normal_rad = 0.0
-
-
 @pytest.mark.parametrize("name", sorted(MAKE))
 def test_every_law_passes_the_same_limits_and_does_not_wind_up(name: str) -> None:
-    inbox = _Inbox(100.0)
-    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, MAKE[name]())
+    sample = NewestSample(100.0)
+    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), Newest(sample, sample, sample), MAKE[name]())
     law.start_ramp(300.0, 0.0)
     last, step = 0.0, SETTINGS.tension.acceleration_max_mm_s2 * DT
     for i in range(4000):
-        inbox.tension_n = 100.0 if i < 2000 else 310.0
-        inbox.speed_mm_s = last
-        command = law.compensating(Estimate(inbox.tension_n, 0.0, 0.0, 50.0), 1.0)
+        sample.tension_n = 100.0 if i < 2000 else 310.0
+        sample.speed_mm_s = last
+        command = law.compensating(Estimate(sample.tension_n, 0.0, 0.0, 50.0), 1.0)
         assert abs(command) <= SPEED_MAX
         assert abs(command - last) <= step * (1 + 1e-9)
         last = command
@@ -207,12 +200,12 @@ def test_every_law_passes_the_same_limits_and_does_not_wind_up(name: str) -> Non
 
 
 def test_a_new_ramp_begins_with_nothing_remembered() -> None:
-    inbox = _Inbox(290.0)
-    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), inbox, ProportionalIntegral(MODEL))
+    sample = NewestSample(290.0)
+    law = Rival(SETTINGS, Gains(1.0, 0.5, 2.0), Newest(sample, sample, sample), ProportionalIntegral(MODEL))
     law.start_ramp(300.0, 0.0)
     for _ in range(1000):
         law.compensating(Estimate(290.0, 0.0, 0.0, 50.0), 1.0)
-    inbox.tension_n = 300.0
+    sample.tension_n = 300.0
     law.start_ramp(300.0, 0.0)
     for _ in range(20):  # the acceleration limit brings the last command down
         command = law.compensating(Estimate(300.0, 0.0, 0.0, 50.0), 1.0)

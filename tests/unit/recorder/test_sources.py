@@ -19,6 +19,7 @@ from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Event, Mode, Refusal, Verb
+from rigctl.control.readback import Readback
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note, RequestLog
 from rigctl.ipc.record import RECORD, FrameFlag, Quality, Slot
@@ -98,7 +99,7 @@ def test_the_inbox_keeps_every_frame_with_its_flags(runtime: Runtime, settings: 
     try:
         for message in sent:
             other.send(message)
-        Inbox(bus, settings, runtime.frames.writer()).drain(77, 0)
+        Inbox(bus, settings, runtime.frames.writer(), Readback((), settings, 0)).drain(77, 0)
     finally:
         bus.shutdown()
         other.shutdown()

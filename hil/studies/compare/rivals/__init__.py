@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from hil.studies.compare.rivals.adrc import Adrc
 from hil.studies.compare.rivals.disturbance_observer import DisturbanceObserver
-from hil.studies.compare.rivals.feedback import Feedback, Model, Rival
+from hil.studies.compare.rivals.feedback import Feedback, Model, Newest, Rival
 from hil.studies.compare.rivals.lqi import Lqi
 from hil.studies.compare.rivals.pid import PidFeedForward
 from hil.studies.compare.rivals.proportional import Proportional, ProportionalIntegral
@@ -32,7 +32,7 @@ class ComparedLaw(NamedTuple):
         """The law in the form that `rigctl.control.loop.Loop` takes."""
         if self.make is None:
             return TensionLaw(settings, gains)
-        return Rival(settings, gains, inbox, self.make(settings))
+        return Rival(settings, gains, Newest(inbox.cell, inbox.drive, inbox.slope), self.make(settings))
 
 
 def _pid(settings: RigSettings) -> Feedback:

@@ -67,21 +67,39 @@ class Feedback(ABC):
         """Integrate this tick's error (set-point less tension); not called while it would wind up."""
 
 
-class Newest(Protocol):
-    """The newest measurements: the loop's inbox."""
+class NewestTension(Protocol):
+    """The cell's channel in the loop's inbox, as a rival reads it."""
 
     tension_n: float
+
+
+class NewestSpeed(Protocol):
+    """The drive's channel."""
+
     speed_mm_s: float
+
+
+class NewestSlope(Protocol):
+    """The inclinometer's channel."""
+
     tangential_rad: float
     normal_rad: float
+
+
+class Newest(NamedTuple):
+    """Where the newest measurements are."""
+
+    cell: NewestTension
+    drive: NewestSpeed
+    slope: NewestSlope
 
 
 class Rival(TensionLaw):
     """A feedback law in the place of ours: ramps, set-point, limits and modes are those of `TensionLaw`."""
 
-    def __init__(self, settings: RigSettings, gains: Gains, inbox: Newest, feedback: Feedback) -> None:
+    def __init__(self, settings: RigSettings, gains: Gains, newest: Newest, feedback: Feedback) -> None:
         super().__init__(settings, gains)
-        self._inbox = inbox
+        self._newest = newest
         self._feedback = feedback
         self._fresh = True
 
@@ -91,15 +109,15 @@ class Rival(TensionLaw):
         self._fresh = True
 
     def _closed(self, estimate: Estimate, cosine: float, slope_n_s: float, added_mm_s: float) -> float:  # noqa: ARG002
-        inbox = self._inbox
+        newest = self._newest
         self.rope_setpoint_n = self.setpoint_n / cosine
         sample = Sample(
-            inbox.tension_n,
-            inbox.speed_mm_s,
+            newest.cell.tension_n,
+            newest.drive.speed_mm_s,
             self.rope_setpoint_n,
             slope_n_s,
-            inbox.tangential_rad,
-            inbox.normal_rad,
+            newest.slope.tangential_rad,
+            newest.slope.normal_rad,
         )
         if self._fresh:
             self._feedback.start(sample)
