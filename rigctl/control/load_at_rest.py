@@ -58,7 +58,7 @@ class LoadRest:
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN
-        elif tension_moves or stroke_moves or snapshot.sink_mm_s:
+        elif tension_moves or stroke_moves or snapshot.sinking.speed_mm_s:
             self.shown = LoadAtRest.MOVES
         elif by_tension and by_stroke:
             self.shown = LoadAtRest.BOTH

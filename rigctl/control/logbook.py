@@ -107,9 +107,9 @@ class Logbook:
         values.held_by = snapshot.held_by
         values.power_off = snapshot.power_off
         values.load_at_rest = snapshot.load_at_rest
-        values.sink_mm_s = snapshot.sink_mm_s
-        sinks_mm_s = -snapshot.sink_mm_s
-        values.slack_s = snapshot.sink_left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
+        values.sink_mm_s = snapshot.sinking.speed_mm_s
+        sinks_mm_s = -snapshot.sinking.speed_mm_s
+        values.slack_s = snapshot.sinking.left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
         values.end_s = end_s
         values.slipped_n = slipped_n
         values.fault = machine.fault

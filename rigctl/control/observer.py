@@ -81,10 +81,11 @@ class Observer:
         self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
-        self._power = PowerDetector(settings)
+        self._power, self._sinking = PowerDetector(settings), Sinking(settings, rope)
         self.snapshot = Snapshot(
-            heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen
-        )
+            heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
+            sinking=self._sinking.seen,
+        )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
         self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
@@ -114,7 +115,7 @@ class Observer:
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
         self._take_up = TakeUp(settings)
-        self._standstill, self._sinking = Standstill(settings), Sinking(settings, rope)
+        self._standstill = Standstill(settings)
         self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
@@ -151,11 +152,7 @@ class Observer:
             now_ns, state, self._outbox.controlword, snapshot.still_ns,
             heard=snapshot.drive_heard, current=snapshot.drive_current_flows,
         )  # fmt: skip
-        sinking = self._sinking
-        sinking.look(now_ns, snapshot)
-        snapshot.sink_mm_s, snapshot.sink_apart_mm, snapshot.sink_left_mm = (
-            sinking.speed_mm_s, sinking.apart_mm, sinking.left_mm,
-        )  # fmt: skip
+        self._sinking.look(now_ns, snapshot)
         self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.e_stop | (inbox.io_e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
@@ -254,7 +251,7 @@ class Observer:
         snapshot.power_off = self.power_off.look(machine.fault, machine.action, snapshot, rest, braked=braked)
         rests = snapshot.load_at_rest.rests
         self._rested &= braked
-        settles = not self._rested and seen.settles and not snapshot.sink_mm_s
+        settles = not self._rested and seen.settles and not snapshot.sinking.speed_mm_s
         self._rested |= braked and rests and seen.left_alone
         snapshot.held_by = held_by(
             machine.mode,

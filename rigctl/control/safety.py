@@ -373,15 +373,15 @@ def _unbraked_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:
 
 def _sinks_mm_s(snapshot: Snapshot) -> float:
     """Of a load on the closed brake; a stroke that moves under a slack rope moves no load."""
-    return abs(snapshot.sink_mm_s) if snapshot.sink_left_mm else 0.0
+    return abs(snapshot.sinking.speed_mm_s) if snapshot.sinking.left_mm else 0.0
 
 
 def _slack_words(snapshot: Snapshot) -> str:
     """When a load that sinks will have left the rope slack."""
-    sinks_mm_s = -snapshot.sink_mm_s if abs(snapshot.speed_mm_s) <= BRAKE_SLIP_MM_S else -snapshot.speed_mm_s
-    if sinks_mm_s <= 0.0 or not snapshot.sink_left_mm:
+    sinks_mm_s = -snapshot.sinking.speed_mm_s if abs(snapshot.speed_mm_s) <= BRAKE_SLIP_MM_S else -snapshot.speed_mm_s
+    if sinks_mm_s <= 0.0 or not snapshot.sinking.left_mm:
         return ""
-    return f", the rope is slack in about {snapshot.sink_left_mm / sinks_mm_s:.0f} s"
+    return f", the rope is slack in about {snapshot.sinking.left_mm / sinks_mm_s:.0f} s"
 
 
 def _powered_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:

@@ -10,6 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
+from rigctl.control.findings import SinkingSeen
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -27,7 +28,8 @@ class EStop(IntFlag):
 class Snapshot:
     """Values of one tick, ages in ns, quality bits (0 good), counters.
 
-    `rigctl.control.observer.Observer` alone assigns them, each in one place; the rest of the tick reads them.
+    `rigctl.control.observer.Observer` alone assigns them, each in one place; the rest of the tick reads them. A group
+    of findings is its detector's own, see `rigctl.control.findings`.
     """
 
     t_ns: int = 0
@@ -49,9 +51,7 @@ class Snapshot:
     drive_off: bool = False  # no power, brake closed or closing
     power: PowerSeen = field(default_factory=PowerSeen)  # state, times and brake of the drive
     still_ns: int = 0  # time the stroke has stood still, see rigctl.control.power_seen
-    sink_mm_s: float = 0.0  # of the stroke on the closed brake; these three: see rigctl.control.sinking
-    sink_apart_mm: float = 0.0
-    sink_left_mm: float = 0.0
+    sinking: SinkingSeen = field(default_factory=SinkingSeen)
     drive_faulted: bool = False
     drive_warning: bool = False
     drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus

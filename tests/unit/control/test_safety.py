@@ -21,6 +21,7 @@ from rigctl.control.safety import Action, Row, preflight, table
 from rigctl.control.snapshot import EStop, FieldValue, Snapshot
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0, drive_enable_output=0, drive_off_input=1)})
@@ -63,7 +64,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.LOAD_SINKS, "N is falling"): {"sinks_n": 3.1},
     (Fault.LOAD_SINKS, "N has fallen"): {"fallen_n": 3.1},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True, "drive_wanted": False},
-    (Fault.STROKE_MOVES, "mm/s slowly"): {"sink_mm_s": -0.021, "sink_left_mm": 40.0},
+    (Fault.STROKE_MOVES, "mm/s slowly"): {"sinking.speed_mm_s": -0.021, "sinking.left_mm": 40.0},
     (Fault.CELL_FROZEN, ""): {"cell_frozen": True},
     (Fault.ENCODER_STUCK, ""): {"encoder_stuck": True},
     (Fault.DRIVE_MOTIONLESS, ""): {"drive_motionless": True},
@@ -127,7 +128,7 @@ def named(row: Row) -> tuple[Fault, str]:
 
 
 def bad_for(row: Row) -> Snapshot:
-    return replace(GOOD, **BAD[named(row)])  # type: ignore[arg-type]
+    return changed(GOOD, BAD[named(row)])
 
 
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
@@ -212,7 +213,7 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
     assert preflight(GOOD, SETTINGS, set(), Check(0)) == Check(0)
-    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    snapshot = changed(GOOD, bad)
     assert preflight(snapshot, SETTINGS, set(), Check(0)) == check
     known = Check.DRIVE_SUPERVISION | Check.CALIBRATION | Check.DISK | Check.TARE
     assert preflight(snapshot, SETTINGS, set(), known) == check | known
@@ -257,7 +258,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 def test_nobody_arms_into_what_would_trip(bad: dict[str, object], check: Check) -> None:
     tilted = LimitSettings(signal="tangential_deg", low=-5.0, high=5.0, action="hold", modes=["HOLD"])
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
-    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    snapshot = changed(GOOD, bad)
     assert preflight(snapshot, SETTINGS, watch.beyond(snapshot, Mode.HOLD), Check(0)) == check
     assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), Check(0)) == Check(0)
 

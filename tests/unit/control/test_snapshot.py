@@ -11,7 +11,7 @@ from tests.builders.paths import ROOT
 from tests.builders.rig_bench import SETTINGS
 
 FIELDS = frozenset(Snapshot.__slots__)
-LIVE = {"heartbeats_t_ns", "node_states", "power"}  # given to the constructor: the inbox's and the detector's own
+LIVE = {"heartbeats_t_ns", "node_states", "power", "sinking"}  # given to the constructor: of inbox and detectors
 
 
 def _assigned(tree: ast.AST) -> list[str]:

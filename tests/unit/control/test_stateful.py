@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 from hypothesis import settings
@@ -22,6 +22,7 @@ from rigctl.control.snapshot import Snapshot
 from rigctl.devices.drive import Power
 from tests.builders.outcomes import MachineLog, WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed, put
 
 MS = 1_000_000
 ARMED: list[Any] = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
@@ -56,7 +57,7 @@ class Rig(RuleBasedStateMachine):
         self.machine = MachineLog()
         self.rows = limits.rows(SETTINGS)
         self.watch = WatchLog(SETTINGS, self.rows)
-        self.snapshot = replace(GOOD)
+        self.snapshot = changed(GOOD, {})
         self.t_ns = 0
         self.since: dict[tuple[Fault, str], int] = {}  # time at which each signal that is bad now became bad
         self.enabled = self.faulted = False
@@ -121,16 +122,16 @@ class Rig(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def goes_bad(self, name: str) -> None:
-        setattr(self.snapshot, name, BAD[name])
+        put(self.snapshot, {name: BAD[name]})
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def is_good_again(self, name: str) -> None:
-        setattr(self.snapshot, name, getattr(GOOD, name))
+        put(self.snapshot, {name: attrgetter(name)(GOOD)})
 
     @rule()
     @precondition(lambda self: self.machine.fault is not Fault.NONE)
     def all_is_well_and_reset(self) -> None:
-        self.snapshot = replace(GOOD)
+        self.snapshot = changed(GOOD, {})
         self.faulted = False
         self.drive_is_followed()
         if self.machine.fault is Fault.NONE:  # a RESET has waited for the drive
