@@ -22,7 +22,7 @@ class Reading(NamedTuple):
     unit: str
     meaning: str
     snapshot: str
-    """The field of `rigctl.control.snapshot.Snapshot`."""
+    """The field of `rigctl.control.snapshot.Snapshot`, with its group."""
     factor: float = 1.0
     magnitude: bool = False
     words: str = ""
@@ -72,7 +72,7 @@ SIGNALS: tuple[Signal, ...] = (
            limit=Reading(1, "tension_n", "N", "tension of the rope, corrected", "tension_n", words="tension", age=CELL,
                        fast=True)),
     Signal(limit=Reading(2, "tension_rate_n_s", "N/s", "its rate of change, low-passed by 5 ms, absolute",
-                       "tension_rate_n_s", magnitude=True, words="tension rate", age=CELL, fast=True)),
+                       "plausibility.tension_rate_n_s", magnitude=True, words="tension rate", age=CELL, fast=True)),
     Signal("reading_n", "d", "N", "the same as the cell sends it, before zero and scale"),
     Signal("second_n", "d", "N", "tension by the second force path; NaN without one or its zero"),
     Signal("force_gap_n", "d", "N", "the same less the cell's tension, low-passed by 1 s"),

@@ -20,3 +20,26 @@ class SinkingSeen:
     speed_mm_s: float = 0.0
     apart_mm: float = 0.0
     left_mm: float = 0.0
+
+
+@dataclass(slots=True)
+class PlausibilitySeen:
+    """Comparisons that no single signal shows, see `rigctl.control.plausibility`.
+
+    ``runaway_mm_s``: by how much the drive's speed is beyond any command, while that grows from sample to sample.
+    ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
+    sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
+    beside it. ``unexplained_mm``: stretch by the tension that the stroke does not explain. ``cell_repeats``: samples in
+    a row with the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms, in which a single
+    step counts little. ``cell_step_n``: see `rigctl.control.cell_step`. ``tension_rate_n_s``: low-passed by 5 ms.
+    """
+
+    runaway_mm_s: float = 0.0
+    speed_error_mm_s: float = 0.0
+    stroke_error_mm: float = 0.0
+    contradiction_mm: float = 0.0
+    unexplained_mm: float = 0.0
+    cell_repeats: int = 0
+    cell_unrest_n: float = 0.0
+    cell_step_n: float = 0.0
+    tension_rate_n_s: float = 0.0

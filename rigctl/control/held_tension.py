@@ -145,7 +145,7 @@ class HeldTension:
         """One tick, ``ticks`` after the last; ``latched``: the stroke has come to rest and is latched."""
         self._clear()
         tension_n = snapshot.tension_n
-        stale = not snapshot.cell_heard or snapshot.cell_repeats >= self._stuck
+        stale = not snapshot.cell_heard or snapshot.plausibility.cell_repeats >= self._stuck
         if stale or snapshot.cell_quality or not math.isfinite(tension_n):
             return
         passed_s = ticks * self._dt

@@ -84,7 +84,7 @@ class Observer:
         self._power, self._sinking = PowerDetector(settings), Sinking(settings, rope)
         self.snapshot = Snapshot(
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
-            sinking=self._sinking.seen,
+            sinking=self._sinking.seen, plausibility=self._plausibility.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -165,16 +165,10 @@ class Observer:
         snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
         snapshot.device_restarted = inbox.restarted
         snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
-        figures, enabled = self._plausibility, snapshot.drive_enabled
-        figures.look(
-            inbox, self._law.command_mm_s if enabled else 0.0, ticks=1 + skipped, drive_enabled=enabled,
-            slack=self.slack, mode=self._machine.mode,
+        self._plausibility.look(
+            inbox, self._law.command_mm_s if snapshot.drive_enabled else 0.0, ticks=1 + skipped,
+            drive_enabled=snapshot.drive_enabled, slack=self.slack, mode=self._machine.mode,
         )  # fmt: skip
-        snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
-        snapshot.runaway_mm_s = figures.runaway_mm_s
-        snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
-        snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
-        snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.step.step_n
 
     def look_at_control(self, t_ns: int, commanded_ns: int, travel_from: tuple[float, float]) -> None:
         """Add to the snapshot what the loop itself wants and has found; after `look`.

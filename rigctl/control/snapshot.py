@@ -10,7 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.findings import SinkingSeen
+from rigctl.control.findings import PlausibilitySeen, SinkingSeen
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -112,21 +112,13 @@ class Snapshot:
     cell_nis: float = 0.0
     vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
     disturbance_mm_s: float = 0.0
-    runaway_mm_s: float = 0.0
-    speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
-    stroke_error_mm: float = 0.0
-    contradiction_mm: float = 0.0
-    unexplained_mm: float = 0.0
+    plausibility: PlausibilitySeen = field(default_factory=PlausibilitySeen)
     excursion_mm: float = 0.0  # with corrected_mm: see rigctl.control.stroke_hold
     corrected_mm: float = 0.0
     stretched_mm: float = 0.0  # these four: see rigctl.control.held_tension
     growing_mm: float = 0.0
     fallen_n: float = 0.0
     sinks_n: float = 0.0
-    cell_repeats: int = 0
-    cell_unrest_n: float = 0.0
-    cell_step_n: float = 0.0  # see rigctl.control.cell_step
-    tension_rate_n_s: float = 0.0
     cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
     encoder_stuck: bool = False
     drive_motionless: bool = False

@@ -83,7 +83,7 @@ class StrokeHold:
         distance_mm = abs(self.error_mm)
         self.left = distance_mm > SAID_MM and not self._reported
         self._reported = distance_mm > SAID_MM or (self._reported and distance_mm > OVER_MM)
-        self._doubted |= abs(snapshot.contradiction_mm) > CONTRADICTION_MM
+        self._doubted |= abs(snapshot.plausibility.contradiction_mm) > CONTRADICTION_MM
 
     def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:
         """Speed in mm/s that brings the stroke back to the latch; 0 where its position is unknown or doubted.

@@ -6,6 +6,7 @@ import pathlib
 import subprocess
 import sys
 from dataclasses import fields
+from operator import attrgetter
 
 from rigctl.config import signals
 from rigctl.config.signals import RECORDED, SIGNALS, WATCHED
@@ -55,7 +56,7 @@ def test_names_are_given_once_and_what_a_limit_reads_is_in_the_snapshot() -> Non
     names, places = [row.name for row in RECORDED], [watch.place for watch in WATCHED.values()]
     assert len(set(names)) == len(names)
     assert len(set(places)) == len(WATCHED) == sum(row.limit is not None for row in SIGNALS)
-    assert {watch.snapshot for watch in WATCHED.values()} <= SNAPSHOT
+    assert all(isinstance(attrgetter(watch.snapshot)(Snapshot()), int | float) for watch in WATCHED.values())
     assert {watch.age for watch in WATCHED.values()} - {""} <= SNAPSHOT
     assert all(watch.words for watch in WATCHED.values() if watch.age)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
@@ -29,6 +28,7 @@ from rigctl.control.held_tension import (
     stretch_limit_mm,
 )
 from rigctl.control.snapshot import Snapshot
+from tests.builders import snapshots
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -121,14 +121,14 @@ def test_a_flexible_mechanism_gives_way_with_the_stroke_and_its_bounce_after_a_s
     assert not Held(soft, motor=True).run(5.0, lambda t: 300.0 + K * amplitude_mm * math.cos(omega * t)).trips
 
 
-@pytest.mark.parametrize("lost", [{"cell_heard": False}, {"cell_quality": 1}, {"cell_repeats": 100}])
+@pytest.mark.parametrize("lost", [{"cell_heard": False}, {"cell_quality": 1}, {"plausibility.cell_repeats": 100}])
 @pytest.mark.parametrize("motor", [True, False])
 def test_an_unknown_cell_says_nothing_and_is_compared_with_the_latch_once_it_is_back(
     lost: dict[str, int], motor: bool
 ) -> None:
     held = Held(motor=motor).run(2.0, lambda _t: 300.0)
     known = held.snapshot
-    held.snapshot = replace(known, **lost)  # type: ignore[arg-type]
+    held.snapshot = snapshots.changed(known, lost)
     held.run(5.0, lambda _t: 0.0)
     assert held.largest == 0.0
     held.snapshot = known

@@ -20,12 +20,13 @@ from rigctl.control.safety import Action, Row
 from rigctl.control.snapshot import Snapshot
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "tension_n": ({"tension_n": 290.0}, 290.0),
-    "tension_rate_n_s": ({"tension_rate_n_s": -50.0}, 50.0),
+    "tension_rate_n_s": ({"plausibility.tension_rate_n_s": -50.0}, 50.0),
     "vertical_error_n": ({"vertical_error_n": -2.0}, 2.0),
     "tangential_deg": ({"tangential_rad": math.radians(-3.0)}, -3.0),
     "normal_deg": ({"normal_rad": math.radians(4.0)}, 4.0),
@@ -61,7 +62,7 @@ def test_every_signal_has_a_name_a_meaning_and_a_way_to_read_it() -> None:
 @pytest.mark.parametrize("signal", WATCHED)
 def test_a_signal_is_what_its_name_says(signal: str) -> None:
     seen, value = SEEN[signal]
-    assert limits.value_of(WATCHED[signal])(replace(Snapshot(), **seen)) == pytest.approx(value)
+    assert limits.value_of(WATCHED[signal])(changed(Snapshot(), seen)) == pytest.approx(value)
 
 
 def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are() -> None:

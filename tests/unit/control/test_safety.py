@@ -54,11 +54,11 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.INCLINATION_STALE, "ns"): {"inclination_age_ns": 101 * MS},
     (Fault.DRIVE_FAULT, ""): {"drive_faulted": True},
     (Fault.DRIVE_NOT_FOLLOWING, ""): {"drive_enabled": False},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed grows"): {"runaway_mm_s": 2.6},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed grows"): {"plausibility.runaway_mm_s": 2.6},
     (Fault.DRIVE_NOT_FOLLOWING, "mm/s moves though off"): {"speed_mm_s": 0.51, "drive_off": True},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed"): {"speed_error_mm_s": 2.6},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm position"): {"stroke_error_mm": -0.51},
-    (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed"): {"plausibility.speed_error_mm_s": 2.6},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm position"): {"plausibility.stroke_error_mm": -0.51},
+    (Fault.DRIVE_CONTRADICTS, "mm"): {"plausibility.contradiction_mm": -0.31},
     (Fault.STROKE_NOT_HELD, "mm"): {"excursion_mm": -0.91},
     (Fault.POSITION_DRIFTS, "mm"): {"corrected_mm": -0.81},
     (Fault.LOAD_SINKS, "N is falling"): {"sinks_n": 3.1},
@@ -71,10 +71,10 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.ROPE_CHANGED, ""): {"rope_changed": True},
     (Fault.LOAD_UNSEEN, "N"): {"unseen_excess_n": 0.1},
     (Fault.LOAD_UNSEEN, "N by current"): {"taken_up_excess_n": 0.1},
-    (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -12.1},
+    (Fault.STRETCH_UNEXPLAINED, "mm"): {"plausibility.unexplained_mm": -12.1},
     (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"stretched_mm": -0.81},
     (Fault.STRETCH_UNEXPLAINED, "mm growing"): {"growing_mm": -0.61},
-    (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
+    (Fault.CELL_NOISY, "N"): {"plausibility.cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
     (Fault.DRIVE_REFUSES, "it takes no commands from the bus (statusword bit 9, remote, is off)"): {
         "drive_local": True
@@ -97,7 +97,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.STATUS_STALE, "ns"): {"status_age_ns": 251 * MS},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
-    (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
+    (Fault.CELL_STUCK, "samples"): {"plausibility.cell_repeats": 20},
     (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
     (Fault.SUPERVISION_LOST, ""): {"settings_lost": 1},
     (Fault.SUPERVISION_LOST, "commands"): {"disobeys": True},
@@ -107,7 +107,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.E_STOP, ""): {"e_stop": True},
     (Fault.E_STOP_UNSEEN, "ns"): {"io_age_ns": 101 * MS},
     (Fault.ENABLE_IGNORED, ""): {"enable_ignored": True},
-    (Fault.INNOVATION, "N at once"): {"cell_step_n": 5.0},
+    (Fault.INNOVATION, "N at once"): {"plausibility.cell_step_n": 5.0},
     (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
@@ -242,8 +242,8 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 @pytest.mark.parametrize(
     ("bad", "check"),
     [
-        ({"cell_repeats": 20}, Check.CELL_IMPLAUSIBLE),
-        ({"cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
+        ({"plausibility.cell_repeats": 20}, Check.CELL_IMPLAUSIBLE),
+        ({"plausibility.cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
         ({"tension_n": -15.1}, Check.CELL_IMPLAUSIBLE),
         ({"sensor_emergency": True}, Check.EMERGENCY),
         ({"rival_age_ns": MS}, Check.RIVAL),
@@ -288,7 +288,7 @@ def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None
     trip = watch.trips(snapshot, Mode.HOLD, 0)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.CELL_INVALID, Action.HOLD)
-    runaway = replace(snapshot, stroke_error_mm=1.0)
+    runaway = changed(snapshot, {"plausibility.stroke_error_mm": 1.0})
     trip = watch.trips(runaway, Mode.HOLD, MS)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.DRIVE_NOT_FOLLOWING, Action.POWER_OFF)

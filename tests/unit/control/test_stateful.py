@@ -41,10 +41,12 @@ GOOD = Snapshot(
 )  # fmt: skip
 BAD: dict[str, object] = {
     "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,
-    "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "cell_repeats": 20, "stroke_error_mm": 1.0,
+    "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "plausibility.cell_repeats": 20,
+    "plausibility.stroke_error_mm": 1.0,
     "io_age_ns": 101 * MS,
     "drive_temperature_c": 90.0, "drive_current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
-    "unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True, "drive_emergency": True,
+    "plausibility.unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True,
+    "drive_emergency": True,
 }  # fmt: skip
 MOVING = (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 

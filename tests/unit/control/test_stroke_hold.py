@@ -125,9 +125,9 @@ def test_a_position_that_contradicts_its_speed_or_is_old_is_not_followed() -> No
     rig.snapshot.drive_heard = True
     rig.run(0.01)
     assert rig.command < 0.0
-    rig.snapshot.contradiction_mm = 0.31
+    rig.snapshot.plausibility.contradiction_mm = 0.31
     rig.run(0.01)
-    rig.snapshot.contradiction_mm = 0.0
+    rig.snapshot.plausibility.contradiction_mm = 0.0
     rig.run(0.01)
     assert rig.command == 0.0
     rig.hold.follow()
