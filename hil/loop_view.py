@@ -111,7 +111,8 @@ class LoopView:
     @property
     def shown_loss(self) -> float:
         """The largest of what shows that the held load is lost: mm stretched, N fallen, mm sunk on the brake."""
-        return max(abs(self._seen.stretched_mm), self._seen.fallen_n, self._loop._first_second.sank_mm)
+        held = self._seen.held_tension
+        return max(abs(held.stretched_mm), held.fallen_n, self._loop._first_second.sank_mm)
 
     # -- what the safety table looks at --------------------------------------------------------------------------
     @property

@@ -100,7 +100,8 @@ class BrakeFlag:
 
     def _falls(self, standing: int, snapshot: Snapshot) -> bool:
         doubted = standing & STROKE_BITS or snapshot.sinking.apart_mm > 0.0
-        falls = standing & _SINK_BIT and doubted and max(snapshot.fallen_n, snapshot.sinks_n) > self._fall_n
+        held = snapshot.held_tension
+        falls = standing & _SINK_BIT and doubted and max(held.fallen_n, held.sinks_n) > self._fall_n
         if not falls:
             self._falls_since_ns = None
             return False

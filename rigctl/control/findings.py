@@ -43,3 +43,19 @@ class PlausibilitySeen:
     cell_unrest_n: float = 0.0
     cell_step_n: float = 0.0
     tension_rate_n_s: float = 0.0
+
+
+@dataclass(slots=True)
+class HeldTensionSeen:
+    """The tension of a held stroke against its latch, see `rigctl.control.held_tension`.
+
+    ``stretched_mm``: disagreement of encoder and tension while the motor holds, if it is a share of the load;
+    ``growing_mm``: the same while it grows. ``fallen_n``: from the highest tension that has lasted, on the brake, if it
+    is a share of that; ``sinks_n``: the same fall while it goes on. All are 0 where they do not apply, and where the
+    cell is silent, invalid or repeats itself.
+    """
+
+    stretched_mm: float = 0.0
+    growing_mm: float = 0.0
+    fallen_n: float = 0.0
+    sinks_n: float = 0.0

@@ -47,7 +47,7 @@ class LoadRest:
         )  # fmt: skip
         self.slack = self.tension_seen and snapshot.tension_n < self._slack_n
         self.tension_ns = self._tension_at_rest_ns(snapshot)
-        if abs(snapshot.sinks_n) <= self._still_n:
+        if abs(snapshot.held_tension.sinks_n) <= self._still_n:
             self._falls_ns = snapshot.t_ns
         by_tension = self.tension_seen and not self.slack
         by_stroke = not causes & STROKE_BITS and snapshot.drive_heard

@@ -238,7 +238,7 @@ class Loop:
             self._orders.acknowledged(fault, t_ns)
         if machine.drive_wanted:
             self._stroke_hold.follow()  # the motor took the load from the brake
-            self._held_tension.follow()
+            self._held_tension.latch_anew()
 
     def _end_mode(self, estimate: Estimate) -> None:
         """Take the event that ends TENSIONING or RELEASING."""
@@ -266,7 +266,7 @@ class Loop:
             self._orders.look_again()
             if change.before is Mode.FAULT:
                 self._stroke_hold.follow()  # motion acknowledged
-                self._held_tension.follow()
+                self._held_tension.latch_anew()
                 self.observer.forget_sinking()
             if change.after is Mode.COMPENSATING:
                 self._travel_from = estimate.stroke_mm, law.setpoint_n

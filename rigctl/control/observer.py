@@ -85,6 +85,7 @@ class Observer:
         self.snapshot = Snapshot(
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
+            held_tension=held_tension.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -220,9 +221,6 @@ class Observer:
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
         snapshot.excursion_mm, snapshot.corrected_mm = self._stroke_hold.error_mm, self._stroke_hold.corrected_mm
-        held = self._held_tension
-        snapshot.stretched_mm, snapshot.growing_mm = held.stretched_mm, held.growing_mm
-        snapshot.fallen_n, snapshot.sinks_n = held.fallen_n, held.sinks_n
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         snapshot.slope_words = self._signs.words
@@ -381,7 +379,7 @@ class Observer:
     def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.correct(correction, held_s=held_s, history=history)
-        self._held_tension.follow()
+        self._held_tension.latch_anew()
         self._take_up.forget()
         if math.isfinite(self.inbox.tension_n):
             self.tension_n = self.inbox.tension_n

@@ -10,7 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.findings import PlausibilitySeen, SinkingSeen
+from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -115,10 +115,7 @@ class Snapshot:
     plausibility: PlausibilitySeen = field(default_factory=PlausibilitySeen)
     excursion_mm: float = 0.0  # with corrected_mm: see rigctl.control.stroke_hold
     corrected_mm: float = 0.0
-    stretched_mm: float = 0.0  # these four: see rigctl.control.held_tension
-    growing_mm: float = 0.0
-    fallen_n: float = 0.0
-    sinks_n: float = 0.0
+    held_tension: HeldTensionSeen = field(default_factory=HeldTensionSeen)
     cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
     encoder_stuck: bool = False
     drive_motionless: bool = False

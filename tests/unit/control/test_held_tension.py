@@ -63,7 +63,7 @@ class Held:
             self.snapshot.tension_n, self.snapshot.stroke_mm = tension(n * dt), stroke(n * dt)
             self.subject.watch(self.snapshot, TICKS, latched=True)
             for name, (limit, persistence_ns) in self.rows.items():
-                value = abs(getattr(self.subject, name))
+                value = abs(getattr(self.subject.seen, name))
                 self.largest = max(self.largest, value)
                 self.beyond_s[name] = self.beyond_s[name] + dt if value > limit else 0.0
                 if self.beyond_s[name] > persistence_ns * S:
@@ -159,7 +159,7 @@ def test_a_load_that_sinks_is_seen_within_the_promise(speed: float, spring: floa
 def test_between_two_speeds_a_fall_is_that_of_a_load_that_sinks(speed: float, sinks: bool) -> None:
     held = Held(motor=False).run(5.0, lambda _t: 300.0)
     held.run(2.0, lambda t: 300.0 - K * speed * t)
-    assert (held.subject.sinks_n > 0.0) == sinks
+    assert (held.subject.seen.sinks_n > 0.0) == sinks
 
 
 def test_what_slips_in_jerks_is_seen_too() -> None:
@@ -173,7 +173,7 @@ def test_the_reference_of_the_motor_goes_on_as_that_of_the_brake() -> None:
     held.snapshot.drive_enabled = False
     assert held.run(12.0, lambda _t: 290.0).trips
     held.subject.follow()
-    assert held.run(20.0, lambda _t: 290.0).subject.fallen_n == 0.0, "acknowledged"
+    assert held.run(20.0, lambda _t: 290.0).subject.seen.fallen_n == 0.0, "acknowledged"
 
 
 def test_a_load_that_was_added_is_the_reference_once_it_has_lasted() -> None:
