@@ -59,3 +59,15 @@ class HeldTensionSeen:
     growing_mm: float = 0.0
     fallen_n: float = 0.0
     sinks_n: float = 0.0
+
+
+@dataclass(slots=True)
+class StrokeHoldSeen:
+    """A held stroke, see `rigctl.control.stroke_hold`: as it was found before this tick's correction.
+
+    ``excursion_mm``: stroke from the latch, 0 while nothing is latched. ``corrected_mm``: sum of the correction since
+    the latch.
+    """
+
+    excursion_mm: float = 0.0
+    corrected_mm: float = 0.0

@@ -237,7 +237,7 @@ class Loop:
         elif machine.fault is Fault.NONE is not fault:
             self._orders.acknowledged(fault, t_ns)
         if machine.drive_wanted:
-            self._stroke_hold.follow()  # the motor took the load from the brake
+            self._stroke_hold.latch_anew()  # the motor took the load from the brake
             self._held_tension.latch_anew()
 
     def _end_mode(self, estimate: Estimate) -> None:
@@ -265,7 +265,7 @@ class Loop:
         for change in changes:
             self._orders.look_again()
             if change.before is Mode.FAULT:
-                self._stroke_hold.follow()  # motion acknowledged
+                self._stroke_hold.latch_anew()  # motion acknowledged
                 self._held_tension.latch_anew()
                 self.observer.forget_sinking()
             if change.after is Mode.COMPENSATING:
@@ -442,7 +442,7 @@ class Loop:
 
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
-        held = abs(self.observer.snapshot.excursion_mm) <= SAID_MM
+        held = abs(self.observer.snapshot.stroke_hold.excursion_mm) <= SAID_MM
         return (self._moving() or unsafe) and t_ns < self._off_until and held
 
     def _look_at_load(self, t_ns: int) -> None:
@@ -566,7 +566,7 @@ class Loop:
         else:
             hold.watch(now_ns, snapshot, self.law.command_mm_s)
             if hold.left:
-                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
+                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=SAID_MM)
         if moves or (trial is not None and machine.mode is Mode.DISARMED):  # a weight of a tare or a calibration
             self._held_tension.follow()
         else:

@@ -74,7 +74,7 @@ class Observer:
         self.inbox = inbox
         self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
         self._readback, self._signs, self._probe = readback, signs, probe
-        self._stroke_hold, self._held_tension = stroke_hold, held_tension
+        self._held_tension = held_tension
         self._plausibility = Plausibility(settings)
         self._went_off = True  # the drive has been off since it was last commanded to be enabled
         self._period_s = settings.loop.period_ns * 1e-9
@@ -85,7 +85,7 @@ class Observer:
         self.snapshot = Snapshot(
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
-            held_tension=held_tension.seen,
+            held_tension=held_tension.seen, stroke_hold=stroke_hold.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -220,7 +220,6 @@ class Observer:
         self._look_at_power()
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
-        snapshot.excursion_mm, snapshot.corrected_mm = self._stroke_hold.error_mm, self._stroke_hold.corrected_mm
         fault = self._signs.fault
         snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
         snapshot.slope_words = self._signs.words

@@ -10,7 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen
+from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen, StrokeHoldSeen
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -113,8 +113,7 @@ class Snapshot:
     vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
     disturbance_mm_s: float = 0.0
     plausibility: PlausibilitySeen = field(default_factory=PlausibilitySeen)
-    excursion_mm: float = 0.0  # with corrected_mm: see rigctl.control.stroke_hold
-    corrected_mm: float = 0.0
+    stroke_hold: StrokeHoldSeen = field(default_factory=StrokeHoldSeen)
     held_tension: HeldTensionSeen = field(default_factory=HeldTensionSeen)
     cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
     encoder_stuck: bool = False
@@ -132,9 +131,10 @@ class Snapshot:
 
 
 def reader(fields: Collection[str]) -> Callable[[Snapshot], tuple[Any, ...]]:
-    """Function that reads all these fields off a snapshot, in one call."""
+    """Function that reads all these fields off a snapshot, in one call; ``power.off_ns`` is a field of a group."""
     if len(fields) < 2:  # then attrgetter gives no tuple
-        return lambda snapshot: tuple([getattr(snapshot, name) for name in fields])
+        reads = [attrgetter(name) for name in fields]
+        return lambda snapshot: tuple([read(snapshot) for read in reads])
     return attrgetter(*fields)
 
 
