@@ -118,7 +118,7 @@ class LoopView:
     @property
     def taken_up_apart_n(self) -> float:
         """Rise of the rope's force by the motor's current, less that by the cell."""
-        return self._seen.taken_up_n - self._seen.taken_up_shown_n
+        return self._seen.take_up.rise_n - self._seen.take_up.shown_n
 
     @property
     def e_stop(self) -> int:

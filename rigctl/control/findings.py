@@ -71,3 +71,17 @@ class StrokeHoldSeen:
 
     excursion_mm: float = 0.0
     corrected_mm: float = 0.0
+
+
+@dataclass(slots=True)
+class TakeUpSeen:
+    """The rope's force by the motor's current while it is tensioned, see `rigctl.control.take_up`.
+
+    ``rise_n``, ``shown_n``: rise of that force, and that of the tension. ``limit_n``: of their difference.
+    ``excess_n``: beyond it, negative within it, 0 until it is known.
+    """
+
+    rise_n: float = 0.0
+    shown_n: float = 0.0
+    limit_n: float = 0.0
+    excess_n: float = 0.0

@@ -75,7 +75,7 @@ class Observer:
         self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
         self._readback, self._signs, self._probe = readback, signs, probe
         self._held_tension = held_tension
-        self._plausibility = Plausibility(settings)
+        self._plausibility, self._take_up = Plausibility(settings), TakeUp(settings)
         self._went_off = True  # the drive has been off since it was last commanded to be enabled
         self._period_s = settings.loop.period_ns * 1e-9
         self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
@@ -85,7 +85,7 @@ class Observer:
         self.snapshot = Snapshot(
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
-            held_tension=held_tension.seen, stroke_hold=stroke_hold.seen,
+            held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -115,7 +115,6 @@ class Observer:
         self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
         self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
-        self._take_up = TakeUp(settings)
         self._standstill = Standstill(settings)
         self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
@@ -206,8 +205,6 @@ class Observer:
             snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, snapshot.tension_n, law.target_n,
             slack=self.slack, tensioning=tensioning,
         )  # fmt: skip
-        snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
-        snapshot.taken_up_shown_n, snapshot.taken_up_excess_n = self._take_up.shown_n, self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
         snapshot.drive_wanted = machine.drive_wanted and not machine.stopping

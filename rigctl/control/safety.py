@@ -244,9 +244,9 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.ROPE_CHANGED, FieldValue("rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
         Row(Fault.LOAD_UNSEEN, FieldValue("unseen_excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
             words=lambda x: f"{x.unseen_n:.1f} N (limit {x.unseen_bound_n:.1f} N)"),
-        Row(Fault.LOAD_UNSEEN, FieldValue("taken_up_excess_n"), 0, 0, _TENSIONING, "N by current",
-            words=lambda x: f"{x.taken_up_n:.1f} N by the motor's current, {x.taken_up_shown_n:.1f} N by the cell "
-            f"(limit {x.taken_up_limit_n:.1f} N apart)"),
+        Row(Fault.LOAD_UNSEEN, FieldValue("take_up.excess_n"), 0, 0, _TENSIONING, "N by current",
+            words=lambda x: f"{x.take_up.rise_n:.1f} N by the motor's current, {x.take_up.shown_n:.1f} N by the cell "
+            f"(limit {x.take_up.limit_n:.1f} N apart)"),
         Row(Fault.STRETCH_UNEXPLAINED, _size("plausibility.unexplained_mm"), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING,
             "mm"),
         Row(Fault.STRETCH_UNEXPLAINED, _size("held_tension.stretched_mm"), stretch_limit_mm(settings), STRETCH_NS,

@@ -10,7 +10,7 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen, StrokeHoldSeen
+from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen, StrokeHoldSeen, TakeUpSeen
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -123,10 +123,7 @@ class Snapshot:
     unseen_n: float = 0.0  # these three: see rigctl.control.unseen_travel
     unseen_bound_n: float = 0.0
     unseen_excess_n: float = 0.0
-    taken_up_n: float = 0.0  # these four: see rigctl.control.take_up
-    taken_up_shown_n: float = 0.0
-    taken_up_limit_n: float = 0.0
-    taken_up_excess_n: float = 0.0
+    take_up: TakeUpSeen = field(default_factory=TakeUpSeen)
     least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one
 
 

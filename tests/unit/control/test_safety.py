@@ -70,7 +70,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.DRIVE_MOTIONLESS, ""): {"drive_motionless": True},
     (Fault.ROPE_CHANGED, ""): {"rope_changed": True},
     (Fault.LOAD_UNSEEN, "N"): {"unseen_excess_n": 0.1},
-    (Fault.LOAD_UNSEEN, "N by current"): {"taken_up_excess_n": 0.1},
+    (Fault.LOAD_UNSEEN, "N by current"): {"take_up.excess_n": 0.1},
     (Fault.STRETCH_UNEXPLAINED, "mm"): {"plausibility.unexplained_mm": -12.1},
     (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"held_tension.stretched_mm": -0.81},
     (Fault.STRETCH_UNEXPLAINED, "mm growing"): {"held_tension.growing_mm": -0.61},

@@ -112,7 +112,7 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ("DRIVE_MOTIONLESS", ""): ("drive_motionless", 0, "POWER_OFF", 0, "COMPENSATING"),
     ("ROPE_CHANGED", ""): ("rope_changed", 0, "HOLD", 0, "COMPENSATING"),
     ("LOAD_UNSEEN", "N"): ("unseen_excess_n", 0, "HOLD", 25, "TENSIONING COMPENSATING"),
-    ("LOAD_UNSEEN", "N by current"): ("taken_up_excess_n", 0, "HOLD", 0, "TENSIONING"),
+    ("LOAD_UNSEEN", "N by current"): ("take_up.excess_n", 0, "HOLD", 0, "TENSIONING"),
     ("STRETCH_UNEXPLAINED", "mm"): ("plausibility.unexplained_mm", 12, "HOLD", 15, MOVING),
     ("STROKE_END", ""): ("stroke_limited", 0, "HOLD", 200, MOVING),
     ("DEVICE_RESTARTED", ""): ("device_restarted", 0, "HOLD", 0, ARMED),
