@@ -6,7 +6,7 @@ after that; so what makes a detector begin anew later in the tick shows from the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
@@ -85,3 +85,31 @@ class TakeUpSeen:
     shown_n: float = 0.0
     limit_n: float = 0.0
     excess_n: float = 0.0
+
+
+@dataclass(slots=True)
+class TravelSeen:
+    """How far the stroke has moved the load unseen by the cell, see `rigctl.control.unseen_travel`.
+
+    ``unseen_n`` against ``bound_n``, of the two bounds the one that is nearer. ``excess_n``: beyond it, negative
+    within.
+    """
+
+    unseen_n: float = 0.0
+    bound_n: float = 0.0
+    excess_n: float = 0.0
+
+
+@dataclass(slots=True)
+class ProbeSeen:
+    """Whether cell, encoder, drive and rope answer the probe, see `rigctl.control.sensor_probe`.
+
+    ``words``: of the newest finding. ``travel``: of the two that are watched the one that is nearer to its bound.
+    """
+
+    cell_frozen: bool = False
+    encoder_stuck: bool = False
+    drive_motionless: bool = False
+    rope_changed: bool = False
+    words: str = ""
+    travel: TravelSeen = field(default_factory=TravelSeen)

@@ -42,7 +42,7 @@ class LoadRest:
     def look(self, causes: int, snapshot: Snapshot) -> LoadAtRest:
         """One tick; ``causes``: the fault that is latched and the causes that are active, see `Fault.bit`."""
         self.tension_seen = (
-            not causes & CELL_BITS and not snapshot.cell_frozen
+            not causes & CELL_BITS and not snapshot.probe.cell_frozen
             and snapshot.cell_quality == 0 and snapshot.cell_heard
         )  # fmt: skip
         self.slack = self.tension_seen and snapshot.tension_n < self._slack_n

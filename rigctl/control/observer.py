@@ -26,7 +26,6 @@ from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.safety import status_stale_ns
-from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.signs import SignCheck
 from rigctl.control.sinking import Sinking
 from rigctl.control.snapshot import EStop, Snapshot
@@ -86,6 +85,7 @@ class Observer:
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
             held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
+            probe=probe.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -182,7 +182,7 @@ class Observer:
         compensating = machine.mode is Mode.COMPENSATING
         tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
         from_mm, from_n = travel_from
-        wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.travel.stiffness_n_mm)
+        wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.stiffness_n_mm)
         snapshot.travel_mm = self.inbox.stroke_mm - from_mm - wanted_mm if compensating else 0.0
         if not compensating:
             self.sensitivity_peak = self.sensitivity_peak_error = math.nan
@@ -192,14 +192,6 @@ class Observer:
         probe, setpoint_n = self._probe, law.setpoint_n if compensating else max(law.setpoint_n, law.target_n)
         ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
         probe.look(snapshot, self.cosine, setpoint_n / self.cosine, ramping=ramping, compensating=compensating)
-        travel = probe.travel
-        snapshot.cell_frozen = probe.found is ProbeFinding.CELL_FROZEN
-        snapshot.encoder_stuck = probe.found is ProbeFinding.ENCODER_STUCK
-        snapshot.drive_motionless = probe.found is ProbeFinding.DRIVE_MOTIONLESS
-        snapshot.rope_changed = probe.found is ProbeFinding.ROPE_CHANGED
-        snapshot.probe_words = probe.words
-        snapshot.unseen_n, snapshot.unseen_bound_n = travel.unseen_n, travel.bound_n
-        snapshot.unseen_excess_n = travel.excess_n
         tensioning = machine.mode is Mode.TENSIONING
         self._take_up.look(
             snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, snapshot.tension_n, law.target_n,

@@ -161,7 +161,7 @@ def _highest_n(snapshot: Snapshot) -> float:
 
 
 def _probe_words(snapshot: Snapshot) -> str:
-    return snapshot.probe_words
+    return snapshot.probe.words
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -237,13 +237,14 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.INNOVATION, FieldValue("rejects"), settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.INNOVATION, FieldValue("slope_rejects"), SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
         Row(Fault.INNOVATION, FieldValue("plausibility.cell_step_n"), 0, 0, _MOVING, "N at once"),
-        Row(Fault.CELL_FROZEN, FieldValue("cell_frozen"), 0, 0, _REGULATED, "", words=_probe_words),
-        Row(Fault.ENCODER_STUCK, FieldValue("encoder_stuck"), 0, 0, _REGULATED, "", Action.QUICK_STOP,
+        Row(Fault.CELL_FROZEN, FieldValue("probe.cell_frozen"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.ENCODER_STUCK, FieldValue("probe.encoder_stuck"), 0, 0, _REGULATED, "", Action.QUICK_STOP,
             words=_probe_words),
-        Row(Fault.DRIVE_MOTIONLESS, FieldValue("drive_motionless"), 0, 0, _REGULATED, "", lost, words=_probe_words),
-        Row(Fault.ROPE_CHANGED, FieldValue("rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
-        Row(Fault.LOAD_UNSEEN, FieldValue("unseen_excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
-            words=lambda x: f"{x.unseen_n:.1f} N (limit {x.unseen_bound_n:.1f} N)"),
+        Row(Fault.DRIVE_MOTIONLESS, FieldValue("probe.drive_motionless"), 0, 0, _REGULATED, "", lost,
+            words=_probe_words),
+        Row(Fault.ROPE_CHANGED, FieldValue("probe.rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.LOAD_UNSEEN, FieldValue("probe.travel.excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
+            words=lambda x: f"{x.probe.travel.unseen_n:.1f} N (limit {x.probe.travel.bound_n:.1f} N)"),
         Row(Fault.LOAD_UNSEEN, FieldValue("take_up.excess_n"), 0, 0, _TENSIONING, "N by current",
             words=lambda x: f"{x.take_up.rise_n:.1f} N by the motor's current, {x.take_up.shown_n:.1f} N by the cell "
             f"(limit {x.take_up.limit_n:.1f} N apart)"),

@@ -10,7 +10,14 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
-from rigctl.control.findings import HeldTensionSeen, PlausibilitySeen, SinkingSeen, StrokeHoldSeen, TakeUpSeen
+from rigctl.control.findings import (
+    HeldTensionSeen,
+    PlausibilitySeen,
+    ProbeSeen,
+    SinkingSeen,
+    StrokeHoldSeen,
+    TakeUpSeen,
+)
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -115,14 +122,7 @@ class Snapshot:
     plausibility: PlausibilitySeen = field(default_factory=PlausibilitySeen)
     stroke_hold: StrokeHoldSeen = field(default_factory=StrokeHoldSeen)
     held_tension: HeldTensionSeen = field(default_factory=HeldTensionSeen)
-    cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
-    encoder_stuck: bool = False
-    drive_motionless: bool = False
-    rope_changed: bool = False
-    probe_words: str = ""
-    unseen_n: float = 0.0  # these three: see rigctl.control.unseen_travel
-    unseen_bound_n: float = 0.0
-    unseen_excess_n: float = 0.0
+    probe: ProbeSeen = field(default_factory=ProbeSeen)
     take_up: TakeUpSeen = field(default_factory=TakeUpSeen)
     least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one
 
