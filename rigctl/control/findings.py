@@ -113,3 +113,15 @@ class ProbeSeen:
     rope_changed: bool = False
     words: str = ""
     travel: TravelSeen = field(default_factory=TravelSeen)
+
+
+@dataclass(slots=True)
+class SignsSeen:
+    """What the newest tick of the sign checks has found, see `rigctl.control.signs`.
+
+    ``words``: of a stiffness beyond the family, until the next TENSIONING.
+    """
+
+    drive_reversed: bool = False
+    cell_reversed: bool = False
+    words: str = ""

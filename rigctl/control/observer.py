@@ -9,7 +9,6 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import NEVER_NS, Inbox
@@ -85,7 +84,7 @@ class Observer:
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
             held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
-            probe=probe.seen,
+            probe=probe.seen, signs=signs.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -209,9 +208,6 @@ class Observer:
         self._look_at_power()
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
-        fault = self._signs.fault
-        snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
-        snapshot.slope_words = self._signs.words
         if self._readback.lost or snapshot.settings_lost:
             self.look_at_settings()
 

@@ -14,6 +14,7 @@ from rigctl.control.findings import (
     HeldTensionSeen,
     PlausibilitySeen,
     ProbeSeen,
+    SignsSeen,
     SinkingSeen,
     StrokeHoldSeen,
     TakeUpSeen,
@@ -111,9 +112,7 @@ class Snapshot:
     settings_words: str = ""  # the first of them, in words
     sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
     drive_emergency: int = 0
-    drive_reversed: bool = False  # see rigctl.control.signs
-    cell_reversed: bool = False
-    slope_words: str = ""
+    signs: SignsSeen = field(default_factory=SignsSeen)
     rejects: int = 0
     slope_rejects: int = 0
     cell_nis: float = 0.0

@@ -86,8 +86,8 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
     ),
     ("STATUS_STALE", "ns"): ("status_age_ns", 250e6, "HOLD", 0, ARMED),  # five of 50 ms
     ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
-    ("SIGN_DRIVE", ""): ("drive_reversed", 0, "HOLD", 0, "TENSIONING"),
-    ("SIGN_CELL", ""): ("cell_reversed", 0, "HOLD", 0, "TENSIONING"),
+    ("SIGN_DRIVE", ""): ("signs.drive_reversed", 0, "HOLD", 0, "TENSIONING"),
+    ("SIGN_CELL", ""): ("signs.cell_reversed", 0, "HOLD", 0, "TENSIONING"),
     ("CELL_INVALID", ""): ("cell_quality", 0, "HOLD", 0, ARMED),
     ("INCLINATION_INVALID", ""): ("inclination_quality", 0, "HOLD", 0, ARMED),
     ("TENSION_HIGH", "N"): ("tension_n", 400, "HOLD", 20, EVERY),
@@ -253,7 +253,8 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"rope_lost": True}, "NONE"),
         ({"settings_lost": 1}, "SUPERVISION_LOST"), ({"stroke_jump_mm": 0.51}, "STROKE_JUMPED"),
         ({"sync_age_ns": 16 * MS}, "SYNC_LOST"), ({"sync_age_ns": 15 * MS}, "NONE"),
-        ({"drive_reversed": True}, "NONE"), ({"cell_reversed": True}, "NONE"), ({"slope_rejects": 99}, "NONE"),
+        ({"signs.drive_reversed": True}, "NONE"), ({"signs.cell_reversed": True}, "NONE"),
+        ({"slope_rejects": 99}, "NONE"),
         ({"tension_n": 1.0}, "NONE"), ({"cell_age_ns": 15 * MS}, "NONE"),
     ],
 )  # fmt: skip
