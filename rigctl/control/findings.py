@@ -125,3 +125,19 @@ class SignsSeen:
     drive_reversed: bool = False
     cell_reversed: bool = False
     words: str = ""
+
+
+@dataclass(slots=True)
+class ReadbackSeen:
+    """Settings of the devices that are lost, see `rigctl.control.readback`.
+
+    ``lost``: objects that changed or gave no answer. ``disobeys``: the drive does not do as commanded without one that
+    changed. ``unsupervised``: objects of the drive that were found with another value, so that it may not stop by
+    itself any more; 0 where its quick stop is among them: it would stop on an unknown ramp, and has to be commanded to.
+    ``words``: the first lost object.
+    """
+
+    lost: int = 0
+    disobeys: bool = False
+    unsupervised: int = 0
+    words: str = ""

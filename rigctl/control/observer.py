@@ -84,7 +84,7 @@ class Observer:
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
             held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
-            probe=probe.seen, signs=signs.seen,
+            probe=probe.seen, signs=signs.seen, readback=readback.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -208,8 +208,8 @@ class Observer:
         self._look_at_power()
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
-        if self._readback.lost or snapshot.settings_lost:
-            self.look_at_settings()
+        if self._readback.lost or snapshot.readback.lost:
+            self._readback.show()
 
     @property
     def shown_off(self) -> bool:
@@ -264,12 +264,6 @@ class Observer:
     def forget_sinking(self) -> None:
         """What the stroke did on the brake before now is acknowledged."""
         self._sinking.forget()
-
-    def look_at_settings(self) -> None:
-        """Take from the read-back which settings of the devices are lost."""
-        snapshot, readback = self.snapshot, self._readback
-        snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
-        snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
 
     def _look_at_drive_status(self, now_ns: int) -> None:
         """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""

@@ -306,7 +306,7 @@ class Orders:
                 self._near_end = values["near_end"] == 1.0
             elif verb is Verb.RESET and machine.mode is Mode.DISARMED:
                 self._readback.forget()  # ARM reads all of it again
-                self._observer.look_at_settings()
+                self._readback.show()
         situation = self._situation(t_ns, verb).given(values)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:

@@ -14,6 +14,7 @@ from rigctl.control.findings import (
     HeldTensionSeen,
     PlausibilitySeen,
     ProbeSeen,
+    ReadbackSeen,
     SignsSeen,
     SinkingSeen,
     StrokeHoldSeen,
@@ -106,10 +107,7 @@ class Snapshot:
     rival_words: str = ""  # what that controller did
     stroke_unconfirmed: bool = False  # see rigctl.control.homed
     stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
-    unsupervised: int = 0  # objects of the drive that were found with another value
-    settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
-    disobeys: bool = False  # the drive cannot follow commands without one of them
-    settings_words: str = ""  # the first of them, in words
+    readback: ReadbackSeen = field(default_factory=ReadbackSeen)
     sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
     drive_emergency: int = 0
     signs: SignsSeen = field(default_factory=SignsSeen)
