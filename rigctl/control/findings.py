@@ -6,6 +6,7 @@ after that; so what makes a detector begin anew later in the tick shows from the
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 
@@ -141,3 +142,20 @@ class ReadbackSeen:
     disobeys: bool = False
     unsupervised: int = 0
     words: str = ""
+
+
+@dataclass(slots=True)
+class DriveStatusSeen:
+    """The drive's current, temperature and inputs, where its status is configured, see `rigctl.control.drive_status`.
+
+    ``age_ns``: of the newest. ``temperature_c``, ``current_a``: NaN while they are not known. ``flows``: there is more
+    current than a motor without power has; ``lasts``: for so long that the motor has power, though the drive reports
+    that it is off. ``e_stop_unseen``: the drive has the input, but its state is stale.
+    """
+
+    age_ns: int = 1 << 62
+    temperature_c: float = math.nan
+    current_a: float = math.nan
+    flows: bool = False
+    lasts: bool = False
+    e_stop_unseen: bool = False

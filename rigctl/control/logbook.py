@@ -184,8 +184,8 @@ class Logbook:
         values.run_out_mm_s = observer.run_out_mm_s
         values.learned_mm_s = learned_mm_s
         values.move = move
-        values.drive_current_a = snapshot.drive_current_a
-        values.drive_temperature_c = snapshot.drive_temperature_c
+        values.drive_current_a = snapshot.drive_status.current_a
+        values.drive_temperature_c = snapshot.drive_status.temperature_c
         values.checks = checks
         values.command_seq = command_seq
         values.hold_seq = self._rings.holds.head

@@ -7,7 +7,7 @@ from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
-from rigctl.control.drive_power import CURRENT_SHARE
+from rigctl.control.drive_status import DriveStatus
 from rigctl.control.estimator import TensionFilter, filter_model
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
@@ -24,7 +24,6 @@ from rigctl.control.power_seen import ON_COMMANDS, PowerDetector, Standstill
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import status_stale_ns
 from rigctl.control.signs import SignCheck
 from rigctl.control.sinking import Sinking
 from rigctl.control.snapshot import EStop, Snapshot
@@ -52,8 +51,6 @@ _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
-CURRENT_NS = 500_000_000
-"""For so long after the drive reports off, `CURRENT_SHARE` of the motor's rated current shows power."""
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
@@ -79,12 +76,13 @@ class Observer:
         self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
-        self._power, self._sinking = PowerDetector(settings), Sinking(settings, rope)
+        self._power, self._status = PowerDetector(settings), DriveStatus(settings)
+        self._sinking = Sinking(settings, rope)
         self.snapshot = Snapshot(
             heartbeats_t_ns=inbox.heartbeats_t_ns, node_states=inbox.states, power=self._power.seen,
             sinking=self._sinking.seen, plausibility=self._plausibility.seen,
             held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
-            probe=probe.seen, signs=signs.seen, readback=readback.seen,
+            probe=probe.seen, signs=signs.seen, readback=readback.seen, drive_status=self._status.seen,
         )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
@@ -98,7 +96,7 @@ class Observer:
         self._stretch_lead = StretchLead(settings) if leads else None
         self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
         self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
-        self._errors_before = self._no_current_ns = 0  # error frames older than a second; last tick that shows no power
+        self._errors_before = 0  # error frames older than a second
         self._window_ns = settings.safety.overrun_window_ms * 1_000_000
         self._slack_n = settings.tension.slack_n
         self.slack = True  # the rope does not pull
@@ -108,11 +106,8 @@ class Observer:
         self._grid_ns = self._last_grid_ns = NEVER_NS
         rail, run_out = settings.rail_encoder, settings.run_out
         self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
-        self._status_stale_ns = status_stale_ns(settings)
-        self._current_a = CURRENT_SHARE * (settings.cylinder.rated_current_a or math.inf)
         self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
         self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
-        self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
         self._standstill = Standstill(settings)
         self.power_off = PowerOffWatch()
@@ -146,10 +141,10 @@ class Observer:
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
         snapshot.still_ns = self._standstill.look(now_ns, inbox.stroke_mm, inbox.speed_mm_s, snapshot.drive_heard)
-        self._look_at_drive_status(now_ns)
+        self._status.look(now_ns, inbox, off=snapshot.drive_off)
         self._power.look(
             now_ns, state, self._outbox.controlword, snapshot.still_ns,
-            heard=snapshot.drive_heard, current=snapshot.drive_current_flows,
+            heard=snapshot.drive_heard, current=snapshot.drive_status.flows,
         )  # fmt: skip
         self._sinking.look(now_ns, snapshot)
         self._look_at_fitted(now_ns)
@@ -191,10 +186,10 @@ class Observer:
         probe, setpoint_n = self._probe, law.setpoint_n if compensating else max(law.setpoint_n, law.target_n)
         ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
         probe.look(snapshot, self.cosine, setpoint_n / self.cosine, ramping=ramping, compensating=compensating)
-        tensioning = machine.mode is Mode.TENSIONING
+        status, tensioning = snapshot.drive_status, machine.mode is Mode.TENSIONING
         self._take_up.look(
-            snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, snapshot.tension_n, law.target_n,
-            slack=self.slack, tensioning=tensioning,
+            status.current_a, status.age_ns, law.command_mm_s, snapshot.tension_n, law.target_n, slack=self.slack,
+            tensioning=tensioning,
         )  # fmt: skip
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
@@ -245,7 +240,7 @@ class Observer:
         state = snapshot.power.state
         commanded_on, powered = self._outbox.controlword in ON_COMMANDS, state not in UNPOWERED_STATES
         reported = powered if fresh else snapshot.drive_may_be_on
-        snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_has_current
+        snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_status.lasts
         snapshot.drive_stops = state in STOPPING_STATES
         speed_mm_s = max(abs(snapshot.speed_mm_s) if fresh else self._fastest_mm_s, abs(self._law.command_mm_s))
         self._fastest_mm_s = speed_mm_s
@@ -264,21 +259,6 @@ class Observer:
     def forget_sinking(self) -> None:
         """What the stroke did on the brake before now is acknowledged."""
         self._sinking.forget()
-
-    def _look_at_drive_status(self, now_ns: int) -> None:
-        """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
-        if not self._status_stale_ns:
-            return
-        inbox, snapshot = self.inbox, self.snapshot
-        snapshot.status_age_ns = now_ns - inbox.drive_status_t_ns
-        stale = snapshot.status_age_ns > self._status_stale_ns
-        snapshot.drive_temperature_c = math.nan if stale else inbox.drive_temperature_c
-        current_a = snapshot.drive_current_a = math.nan if stale else inbox.drive_current_a
-        snapshot.drive_current_flows = current_a > self._current_a or current_a < -self._current_a
-        if not (snapshot.drive_current_flows and snapshot.drive_off):
-            self._no_current_ns = now_ns
-        snapshot.drive_has_current = now_ns - self._no_current_ns >= CURRENT_NS
-        snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
     def _look_at_fitted(self, now_ns: int) -> None:
         """What only some rigs have."""

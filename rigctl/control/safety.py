@@ -280,7 +280,7 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
 def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Without the drive's status neither its emergency stop input nor its temperature is known."""
     stale = status_stale_ns(settings)
-    return (Row(Fault.STATUS_STALE, FieldValue("status_age_ns"), stale, 0, _ARMED, "ns"),) if stale else ()
+    return (Row(Fault.STATUS_STALE, FieldValue("drive_status.age_ns"), stale, 0, _ARMED, "ns"),) if stale else ()
 
 
 def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
@@ -624,7 +624,7 @@ def preflight(
         Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
         Check.STROKE_UNCONFIRMED: snapshot.stroke_unconfirmed,
-        Check.E_STOP_UNSEEN: snapshot.e_stop_unseen,
+        Check.E_STOP_UNSEEN: snapshot.drive_status.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,

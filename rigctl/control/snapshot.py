@@ -11,6 +11,7 @@ from operator import attrgetter
 from typing import Any
 
 from rigctl.control.findings import (
+    DriveStatusSeen,
     HeldTensionSeen,
     PlausibilitySeen,
     ProbeSeen,
@@ -74,16 +75,11 @@ class Snapshot:
     unseen_mm: float = 0.0  # most the stroke may have moved since the drive's newest sample
     heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
     node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
-    drive_temperature_c: float = math.nan
-    drive_current_a: float = math.nan
-    drive_current_flows: bool = False  # more than a motor without power has
-    drive_has_current: bool = False  # for so long that it has power, though it reports that it is off
+    drive_status: DriveStatusSeen = field(default_factory=DriveStatusSeen)
     e_stop: int = 0  # inputs that read as pressed, bits of EStop
-    e_stop_unseen: bool = False  # the drive has the input, but its state is stale
     io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
     torque_off: bool = False  # the drive's STO feedback at the I/O node shows it without torque, by a fresh input
     enable_ignored: bool = False  # that feedback is not as the drive's hard-wired enable should have it
-    status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
     warmth_age_ns: int = 1 << 62  # of the cell's temperature, where it comes from the cell
     force_gap_n: float = 0.0  # second force path less cell, low-passed; where one is fitted, as the next three
     second_age_ns: int = 1 << 62

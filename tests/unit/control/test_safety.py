@@ -16,6 +16,7 @@ from rigctl.control import limits
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row, preflight, table
 from rigctl.control.snapshot import EStop, FieldValue, Snapshot
@@ -40,8 +41,7 @@ GOOD = Snapshot(
     bus_age_ns=MS,
     drive_wanted=True,
     io_age_ns=MS,
-    status_age_ns=50 * MS,
-    drive_temperature_c=40.0,
+    drive_status=DriveStatusSeen(age_ns=50 * MS, temperature_c=40.0),
 )
 
 NODES = {"tension cell": 2, "inclinometer": 3, "I/O node": 6, "cylinder drive": 4}
@@ -94,7 +94,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
         (Fault.NODE_NOT_OPERATIONAL, f"NMT state {name} (node {node})"): {"node_states": {node: 127}}
         for name, node in NODES.items()
     },
-    (Fault.STATUS_STALE, "ns"): {"status_age_ns": 251 * MS},
+    (Fault.STATUS_STALE, "ns"): {"drive_status.age_ns": 251 * MS},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"plausibility.cell_repeats": 20},
@@ -208,7 +208,7 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"stroke_mm": -18.1}, Check.STROKE_NEAR_END),
         ({"stroke_mm": 121.9}, Check.STROKE_NEAR_END),
         ({"stroke_mm": -22.1}, Check.STROKE_RANGE),
-        ({"e_stop_unseen": True}, Check.E_STOP_UNSEEN),
+        ({"drive_status.e_stop_unseen": True}, Check.E_STOP_UNSEEN),
     ],
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
@@ -250,7 +250,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
         ({"enable_ignored": True}, Check.ENABLE_IGNORED),
-        ({"status_age_ns": 251 * MS}, Check.STATUS_STALE),
+        ({"drive_status.age_ns": 251 * MS}, Check.STATUS_STALE),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
     ],
@@ -330,7 +330,7 @@ def test_a_logged_limit_whose_signal_has_no_value_is_not_over() -> None:
     warm = LimitSettings(signal="drive_temperature_c", high=70.0, action="log", modes=["HOLD"])
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [warm]})))
     for at, found in enumerate([80.0, math.nan, math.nan, 80.0, math.nan, 60.0, 60.0]):
-        watch.trips(replace(GOOD, drive_temperature_c=found), Mode.HOLD, at * 1000 * MS)
+        watch.trips(changed(GOOD, {"drive_status.temperature_c": found}), Mode.HOLD, at * 1000 * MS)
     ends = [(begins, math.isnan(trip.value)) for trip, begins in watch.limits]
     assert ends == [(True, False), (False, True), (True, False), (False, True), (False, False)]
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+from operator import attrgetter
 
 import pytest
 
@@ -14,6 +16,7 @@ from rigctl.control import limits
 from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.modes import (
     HeldBy,
     Mode,
@@ -36,7 +39,7 @@ REST = "HOLD FAULT"
 GOOD = Snapshot(
     tension_n=300.0, cell_age_ns=MS, cell_heard=True, inclination_age_ns=9 * MS, stroke_mm=50.0,
     drive_age_ns=MS, drive_heard=True, drive_enabled=True,
-    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, status_age_ns=50 * MS,
+    bus_age_ns=MS, drive_wanted=True, io_age_ns=MS, drive_status=DriveStatusSeen(age_ns=50 * MS),
 )  # fmt: skip
 
 # fault, unit: the snapshot's signal, its highest value without a trip, the action, after how many ms, in which modes
@@ -84,7 +87,7 @@ ROWS: dict[tuple[str, str], tuple[str, float, str, int, str]] = {
         1000,
         "DISARMED HOLD FAULT",
     ),
-    ("STATUS_STALE", "ns"): ("status_age_ns", 250e6, "HOLD", 0, ARMED),  # five of 50 ms
+    ("STATUS_STALE", "ns"): ("drive_status.age_ns", 250e6, "HOLD", 0, ARMED),  # five of 50 ms
     ("DRIVE_FAULT", ""): ("drive_faulted", 0, "HOLD", 0, ARMED),
     ("SIGN_DRIVE", ""): ("signs.drive_reversed", 0, "HOLD", 0, "TENSIONING"),
     ("SIGN_CELL", ""): ("signs.cell_reversed", 0, "HOLD", 0, "TENSIONING"),
@@ -217,7 +220,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
     rows = [LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"]),
             LimitSettings(signal="drive_current_a", high=5.0, action="ramp_down", modes=["HOLD"])]  # fmt: skip
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": rows})))
-    both = replace(GOOD, lateness_ns=600_000, drive_current_a=6.0)
+    both = changed(GOOD, {"lateness_ns": 600_000, "drive_status.current_a": 6.0})
     trip = watch.trips(both, Mode.HOLD, 0)
     assert trip is not None
     assert trip.action is Action.RAMP_DOWN
@@ -238,7 +241,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"tension_n": 401.0}, "TENSION_HIGH"), ({"skipped_in_window": 50}, "OVERRUN"),
         ({"device_restarted": True}, "DEVICE_RESTARTED"), ({"plausibility.cell_repeats": 20}, "CELL_STUCK"),
         ({"io_age_ns": 101 * MS}, "E_STOP_UNSEEN"), ({"io_age_ns": 100 * MS}, "NONE"), ({"e_stop": 2}, "E_STOP"),
-        ({"status_age_ns": 251 * MS}, "STATUS_STALE"), ({"status_age_ns": 250 * MS}, "NONE"),
+        ({"drive_status.age_ns": 251 * MS}, "STATUS_STALE"), ({"drive_status.age_ns": 250 * MS}, "NONE"),
         ({"drive_local": True}, "DRIVE_REFUSES"), ({"drive_unasked": True}, "DRIVE_UNASKED"),
         ({"heartbeats_t_ns": {2: -501 * MS}}, "NODE_NOT_OPERATIONAL"),
         ({"node_states": {2: 127}}, "NODE_NOT_OPERATIONAL"), ({"node_states": {2: 5}}, "NONE"),
@@ -274,7 +277,7 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
         ({"inclination_age_ns": 100 * MS}, False, ""), ({"tension_n": 400.0}, False, ""),
         ({"e_stop": 1}, False, "E_STOP"), ({"e_stop": 2}, False, "E_STOP_IO"),
         ({"e_stop": 3}, False, "E_STOP E_STOP_IO"),
-        ({"e_stop_unseen": True}, False, "E_STOP_UNSEEN"),
+        ({"drive_status.e_stop_unseen": True}, False, "E_STOP_UNSEEN"),
         ({"stroke_unconfirmed": True}, False, "STROKE_UNCONFIRMED"),
     ],
 )  # fmt: skip
@@ -308,11 +311,11 @@ def test_nothing_seen_is_nothing_known() -> None:
     assert [snapshot.cell_age_ns, snapshot.inclination_age_ns, snapshot.drive_age_ns, snapshot.bus_age_ns] == [
         never
     ] * 4
-    assert [snapshot.io_age_ns, snapshot.status_age_ns, snapshot.rail_age_ns] == [never] * 3
-    for name in ("tension_n", "reading_n", "stroke_mm", "drive_temperature_c", "drive_current_a"):
-        assert getattr(snapshot, name) != getattr(snapshot, name), f"{name} is no number"
+    assert [snapshot.io_age_ns, snapshot.drive_status.age_ns, snapshot.rail_age_ns] == [never] * 3
+    for name in ("tension_n", "reading_n", "stroke_mm", "drive_status.temperature_c", "drive_status.current_a"):
+        assert math.isnan(attrgetter(name)(snapshot)), name
     others = [value for name in Snapshot.__slots__
-              if not name.endswith("_age_ns") and name not in ("held_by", "power")
+              if not name.endswith("_age_ns") and name not in ("held_by", "power", "drive_status")
               for value in leaves(getattr(snapshot, name)) if str(value) != "nan"]  # fmt: skip
     assert not any(others)
     assert snapshot.held_by is HeldBy.UNKNOWN

@@ -14,6 +14,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.machine import ARM_LIMIT_NS
 from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
@@ -37,14 +38,14 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml").model_copy(
 GOOD = Snapshot(
     tension_n=300.0, cell_age_ns=MS, cell_heard=True, inclination_age_ns=9 * MS, stroke_mm=50.0,
     drive_age_ns=MS, drive_heard=True, bus_age_ns=MS,
-    drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS, status_age_ns=MS,
+    drive_status=DriveStatusSeen(age_ns=MS, temperature_c=40.0, current_a=1.0), io_age_ns=MS,
 )  # fmt: skip
 BAD: dict[str, object] = {
     "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,
     "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "plausibility.cell_repeats": 20,
     "plausibility.stroke_error_mm": 1.0,
     "io_age_ns": 101 * MS,
-    "drive_temperature_c": 90.0, "drive_current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
+    "drive_status.temperature_c": 90.0, "drive_status.current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
     "plausibility.unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True,
     "drive_emergency": True,
 }  # fmt: skip
