@@ -17,6 +17,7 @@ from rigctl.control.move_learning import News
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
+from rigctl.control.run_out import stale_ns
 from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation, slot_values
 from rigctl.control.tension import TensionLaw
@@ -75,7 +76,8 @@ class Logbook:
         self._rings = rings
         self._values, self._in_order = RECORD.by_name()
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
-        self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
+        self._slope_stale_ns, rail = settings.safety.inclination_stale_ms * 1_000_000, settings.rail_encoder
+        self._rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._failures = self._receive_failures = 0
 
     def record(  # noqa: PLR0915 - one line for each field of the record
@@ -100,7 +102,7 @@ class Logbook:
         values = self._values
         values.t_ns = t_ns
         values.tick = tick
-        values.skipped = observer.skipped
+        values.skipped = observer.skips.total
         values.lateness_ns = lateness_ns
         values.work_ns = work_ns
         values.mode = machine.mode
@@ -180,7 +182,7 @@ class Logbook:
         values.send_failures = outbox.failures
         values.error_frames = inbox.error_frames
         values.rail_rad = inbox.rail_rad
-        values.rail_quality = inbox.rail_quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
+        values.rail_quality = inbox.rail_quality | (_STALE if snapshot.rail_age_ns > self._rail_stale_ns else 0)
         values.run_out_mm_s = observer.run_out_mm_s
         values.learned_mm_s = learned_mm_s
         values.move = move

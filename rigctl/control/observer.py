@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
@@ -22,6 +21,7 @@ from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
 from rigctl.control.power_seen import ON_COMMANDS, PowerDetector, Standstill
 from rigctl.control.readback import Readback
+from rigctl.control.recent_count import RecentCount
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.signs import SignCheck
@@ -58,7 +58,8 @@ class Observer:
     """Reads the inbox and runs the filters. ``snapshot`` is for safety, ``estimate`` for the law.
 
     Every field of the snapshot is assigned here, in one place: by `look` from the devices' samples, by
-    `look_at_control` from the loop's other parts, which are only read here, and by `estimate` from the filters.
+    `look_at_control` from the loop's other parts, and by `estimate` from the filters. A detector's findings are its
+    own, in a group that the snapshot holds.
     """
 
     def __init__(
@@ -89,15 +90,13 @@ class Observer:
         self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed from the run-out table
-        self.rail_age_ns = self.skipped = self.just_skipped = 0
+        self.just_skipped = 0
         self.sensitivity_peak = self.sensitivity_peak_error = math.nan  # of this COMPENSATING, from the gateway
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
         leads = settings.estimator.inclination_swing_hz is not None
         self._stretch_lead = StretchLead(settings) if leads else None
-        self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
-        self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
-        self._errors_before = 0  # error frames older than a second
-        self._window_ns = settings.safety.overrun_window_ms * 1_000_000
+        self.skips = RecentCount(settings.safety.overrun_window_ms * 1_000_000)  # ticks that were skipped
+        self._errors = RecentCount(_SECOND_NS)  # error frames
         self._slack_n = settings.tension.slack_n
         self.slack = True  # the rope does not pull
         # Plain frames come at the device's own time: a SYNC says nothing about them.
@@ -105,7 +104,7 @@ class Observer:
         self._sync_timing = SyncTiming(1.0 / settings.loop.rate_hz) if by_sync else None
         self._grid_ns = self._last_grid_ns = NEVER_NS
         rail, run_out = settings.rail_encoder, settings.run_out
-        self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
+        self._rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
         self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
@@ -120,11 +119,11 @@ class Observer:
         inbox.fuse(now_ns)
         self.just_skipped = skipped
         snapshot.t_ns = now_ns
+        skips, errors = self.skips, self._errors
         if skipped:
-            self.skipped += skipped
-            self._skips.append((now_ns, skipped))
-        while self._skips and now_ns - self._skips[0][0] > self._window_ns:
-            self._skips.popleft()
+            skips.add(now_ns, skipped)
+        if skips.count:
+            skips.look(now_ns)
         state = drive_state(statusword)
         snapshot.tension_n, snapshot.cell_quality = inbox.tension_n, inbox.cell_quality
         snapshot.reading_n = inbox.reading_n
@@ -132,7 +131,7 @@ class Observer:
         snapshot.cell_heard = snapshot.cell_age_ns <= self._stale_ns
         snapshot.inclination_quality = inbox.slope_quality
         snapshot.inclination_age_ns = now_ns - inbox.slope_t_ns
-        self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail_t_ns
+        snapshot.rail_age_ns = now_ns - inbox.rail_t_ns
         snapshot.stroke_mm, snapshot.speed_mm_s = inbox.stroke_mm, inbox.speed_mm_s
         snapshot.tangential_rad, snapshot.normal_rad = inbox.tangential_rad, inbox.normal_rad
         snapshot.drive_age_ns = now_ns - inbox.drive_t_ns
@@ -155,8 +154,11 @@ class Observer:
         snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
         snapshot.rival_age_ns, snapshot.rival_words = now_ns - inbox.rival_t_ns, inbox.rival_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
-        snapshot.error_frames = self._recent_error_frames(now_ns) if inbox.error_frames else 0
-        snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
+        if inbox.error_frames != errors.total:
+            errors.add(now_ns, inbox.error_frames - errors.total)
+        if errors.count:
+            errors.look(now_ns)
+        snapshot.error_frames, snapshot.skipped_in_window = errors.count, skips.count
         snapshot.device_restarted = inbox.restarted
         snapshot.sensor_emergency, snapshot.drive_emergency = inbox.sensor_emergency, inbox.drive_emergency
         self._plausibility.look(
@@ -308,7 +310,10 @@ class Observer:
                 self._run_out.lose()
         else:
             if self._run_out is not None:
-                self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
+                known = not inbox.rail_quality and self.snapshot.rail_age_ns <= self._rail_stale_ns
+                self.run_out_mm_s = self._run_out.step(
+                    inbox.rail_rad, 1 + skipped, kalman.state[2], fresh=inbox.rail_fresh, known=known, learns=regulated
+                )
             timing, known_mm_s = self._sync_timing, stretch_mm_s + self.run_out_mm_s
             kalman.update(
                 inbox.tension_n if inbox.cell_fresh else None,
@@ -343,25 +348,3 @@ class Observer:
             self.tension_n = self.inbox.tension_n
             self.slack = self.tension_n < self._slack_n
             self.filter.reset(self.tension_n, self.inbox.speed_mm_s, self.filter.known_mm_s)
-
-    def _recent_error_frames(self, now_ns: int) -> int:
-        """CAN error frames within the last second."""
-        total, seen = self.inbox.error_frames, self._errors
-        if total and (not seen or seen[-1][1] != total):
-            seen.append((now_ns, total))
-        while seen and now_ns - seen[0][0] > _SECOND_NS:
-            self._errors_before = seen.popleft()[1]
-        return total - self._errors_before
-
-    def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
-        """Disturbance speed from the table, which learns what the filter found beside it in the tick before."""
-        inbox = self.inbox
-        if inbox.rail_quality or self.rail_age_ns > self.rail_stale_ns:
-            table.lose()
-            return 0.0
-        table.follow(inbox.rail_rad, ticks, fresh=inbox.rail_fresh)
-        if regulated:
-            table.learn(self.filter.state[2])
-        else:
-            table.forget_pass()
-        return table.speed_mm_s

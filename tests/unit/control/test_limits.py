@@ -86,9 +86,8 @@ def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: st
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action=action)
     assert (unseen.fault, unseen.action, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, Action.HOLD, 0)
     assert unseen.text == "drive temperature (drive_temperature_c)"
-    assert (
-        not unseen.value(Snapshot(drive_status=DriveStatusSeen(age_ns=250 * MS))) > unseen.limit
-    )  # five periods of 50 ms
+    five_periods = DriveStatusSeen(age_ns=250 * MS)
+    assert not unseen.value(Snapshot(drive_status=five_periods)) > unseen.limit
     assert unseen.value(Snapshot(drive_status=DriveStatusSeen(age_ns=251 * MS))) > unseen.limit
     worded = fault_text(unseen.fault, 251 * MS, unseen.limit, unseen.text)
     assert worded == (
