@@ -111,13 +111,14 @@ class LoopView:
     @property
     def shown_loss(self) -> float:
         """The largest of what shows that the held load is lost: mm stretched, N fallen, mm sunk on the brake."""
-        return max(abs(self._seen.stretched_mm), self._seen.fallen_n, self._loop._load.first_second.sank_mm)
+        held = self._seen.held_tension
+        return max(abs(held.stretched_mm), held.fallen_n, self._loop._load.first_second.sank_mm)
 
     # -- what the safety table looks at --------------------------------------------------------------------------
     @property
     def taken_up_apart_n(self) -> float:
         """Rise of the rope's force by the motor's current, less that by the cell."""
-        return self._seen.taken_up_n - self._seen.taken_up_shown_n
+        return self._seen.take_up.rise_n - self._seen.take_up.shown_n
 
     @property
     def e_stop(self) -> int:

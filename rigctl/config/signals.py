@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-CELL, INCLINOMETER, DRIVE, STATUS = "cell_age_ns", "inclination_age_ns", "drive_age_ns", "status_age_ns"
+CELL, INCLINOMETER, DRIVE, STATUS = "cell_age_ns", "inclination_age_ns", "drive_age_ns", "drive_status.age_ns"
 """Ages in the snapshot: of each device's newest sample, and of the drive's status (``cylinder.status_rate_hz``)."""
 
 
@@ -22,7 +22,7 @@ class Reading(NamedTuple):
     unit: str
     meaning: str
     snapshot: str
-    """The field of `rigctl.control.snapshot.Snapshot`."""
+    """The field of `rigctl.control.snapshot.Snapshot`, with its group."""
     factor: float = 1.0
     magnitude: bool = False
     words: str = ""
@@ -72,7 +72,7 @@ SIGNALS: tuple[Signal, ...] = (
            limit=Reading(1, "tension_n", "N", "tension of the rope, corrected", "tension_n", words="tension", age=CELL,
                        fast=True)),
     Signal(limit=Reading(2, "tension_rate_n_s", "N/s", "its rate of change, low-passed by 5 ms, absolute",
-                       "tension_rate_n_s", magnitude=True, words="tension rate", age=CELL, fast=True)),
+                       "plausibility.tension_rate_n_s", magnitude=True, words="tension rate", age=CELL, fast=True)),
     Signal("reading_n", "d", "N", "the same as the cell sends it, before zero and scale"),
     Signal("second_n", "d", "N", "tension by the second force path; NaN without one or its zero"),
     Signal("force_gap_n", "d", "N", "the same less the cell's tension, low-passed by 1 s"),
@@ -171,12 +171,12 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("move", "B", "", "number of the marked move under way, 0 none"),
     Signal("drive_current_a", "d", "A", "motor current; NaN while it is not known",
            limit=Reading(11, "drive_current_a", "A",
-                       "of the motor, absolute; a limit on it is a fault while it does not come", "drive_current_a",
-                       magnitude=True, words="motor current", age=STATUS)),
+                       "of the motor, absolute; a limit on it is a fault while it does not come",
+                       "drive_status.current_a", magnitude=True, words="motor current", age=STATUS)),
     Signal("drive_temperature_c", "d", "deg C", "of the drive; NaN while it is not known",
            limit=Reading(10, "drive_temperature_c", "deg C",
-                       "of the drive; a limit on it is a fault while it does not come", "drive_temperature_c",
-                       words="drive temperature", age=STATUS)),
+                       "of the drive; a limit on it is a fault while it does not come",
+                       "drive_status.temperature_c", words="drive temperature", age=STATUS)),
     Signal("checks", "Q", "", "preflight checks that fail, bits, see checks; not looked at while armed"),
     Signal("command_seq", "Q", "", "sequence number of the last slot the loop has taken from the command ring"),
     Signal(limit=Reading(21, "command_age_s", "s", "since an operator gave the last command", "command_age_ns",

@@ -99,8 +99,9 @@ class BrakeFlag:
             self.slipped_n = max(snapshot.tension_n, self.slipped_n)  # the first one of them for NaN
 
     def _falls(self, standing: int, snapshot: Snapshot) -> bool:
-        doubted = standing & STROKE_BITS or snapshot.sink_apart_mm > 0.0
-        falls = standing & _SINK_BIT and doubted and max(snapshot.fallen_n, snapshot.sinks_n) > self._fall_n
+        doubted = standing & STROKE_BITS or snapshot.sinking.apart_mm > 0.0
+        held = snapshot.held_tension
+        falls = standing & _SINK_BIT and doubted and max(held.fallen_n, held.sinks_n) > self._fall_n
         if not falls:
             self._falls_since_ns = None
             return False

@@ -60,5 +60,5 @@ class DriveCommand:
 
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
-        held = abs(self._observer.snapshot.excursion_mm) <= SAID_MM
+        held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= SAID_MM
         return (self.moves or unsafe) and t_ns < self._off_until and held

@@ -44,10 +44,10 @@ class HeldLoad:
         self._parking, self.first_second = Parking(settings, stopping_ns(settings)), FirstSecond(settings)
         self._moved_on_brake = False  # a load at rest on the brake has moved since
 
-    def follow(self) -> None:
+    def latch_anew(self) -> None:
         """Latch stroke and tension anew: the motor has taken the load, or a motion is acknowledged."""
-        self.stroke.follow()
-        self._tension.follow()
+        self.stroke.latch_anew()
+        self._tension.latch_anew()
 
     def look(self, t_ns: int, powered_until_ns: int) -> None:
         """Take note of what carries the load; where the mode keeps the stroke, a change is an event.
@@ -176,7 +176,7 @@ class HeldLoad:
         else:
             hold.watch(now_ns, snapshot, self._law.command_mm_s)
             if hold.left:
-                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.error_mm, limit=SAID_MM)
+                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=SAID_MM)
         if moves or (trial is not None and machine.mode is Mode.DISARMED):  # a weight of a tare or a calibration
             self._tension.follow()
         else:

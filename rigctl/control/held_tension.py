@@ -22,6 +22,7 @@ from collections import deque
 from itertools import pairwise
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import HeldTensionSeen
 from rigctl.control.snapshot import Snapshot
 
 GROWS_MM, GROWS_NS = 0.5, 600_000_000  # a disagreement that goes on while the motor holds; a step in 0.1 s does not
@@ -104,10 +105,8 @@ def in_words(settings: RigSettings) -> str:
 class HeldTension:
     """Call ``watch`` every tick of a mode that keeps the stroke, ``follow`` while the stroke moves.
 
-    ``stretched_mm``: disagreement d while the motor holds, if it is `SHARE` of the load; ``growing_mm``: d while it
-    grows. ``fallen_n``: from the highest tension that has lasted, on the brake, if it is `SHARE` of that; ``sinks_n``:
-    the same fall while it goes on. All are 0 where they do not apply, and where the cell is silent, invalid or repeats
-    itself: it is unknown then, and the references stay. ``lost``: the rope has carried a load and is slack.
+    While the cell is silent, invalid or repeats itself, the references stay. ``lost``: the rope has carried a load and
+    is slack.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -124,15 +123,24 @@ class HeldTension:
         self._marks: deque[float] = deque(maxlen=MARKS)
         self._slow_marks: deque[float] = deque(maxlen=SLOW_MARKS)
         self._growth: deque[float] = deque(maxlen=GROWTH_MARKS)
-        self.follow()
+        self.seen = HeldTensionSeen()
+        self.latch_anew()
 
     def found_stiffness(self, n_mm: float) -> None:
         """Take the rope's stiffness in N/mm as the sign check found it; the rig file's may be far from it."""
         self._stiffness = n_mm
 
     def follow(self) -> None:
-        """The stroke moves on purpose, or its motion is acknowledged, or the cell is corrected: latch anew."""
-        self._clear()
+        """One tick in which the stroke moves on purpose."""
+        seen = self.seen
+        seen.stretched_mm = seen.growing_mm = seen.fallen_n = seen.sinks_n = 0.0
+        self.latch_anew()
+
+    def latch_anew(self) -> None:
+        """The motor has taken the load, a motion is acknowledged, or the cell is corrected; shown from the next tick.
+
+        That tick clears ``seen`` before it looks.
+        """
         self._from_mm = self._from_n = self._smooth_n = self._highest_n = math.nan
         self._on_brake = self.lost = False
         self._seen_s = 0.0
@@ -143,9 +151,9 @@ class HeldTension:
 
     def watch(self, snapshot: Snapshot, ticks: int, *, latched: bool) -> None:
         """One tick, ``ticks`` after the last; ``latched``: the stroke has come to rest and is latched."""
-        self._clear()
-        tension_n = snapshot.tension_n
-        stale = not snapshot.cell_heard or snapshot.cell_repeats >= self._stuck
+        tension_n, seen = snapshot.tension_n, self.seen
+        seen.stretched_mm = seen.growing_mm = seen.fallen_n = seen.sinks_n = 0.0
+        stale = not snapshot.cell_heard or snapshot.plausibility.cell_repeats >= self._stuck
         if stale or snapshot.cell_quality or not math.isfinite(tension_n):
             return
         passed_s = ticks * self._dt
@@ -163,9 +171,6 @@ class HeldTension:
             self._begin_mark()
             self._settled_s = 0.0
         self._look_for_fall(passed_s)
-
-    def _clear(self) -> None:
-        self.stretched_mm = self.growing_mm = self.fallen_n = self.sinks_n = 0.0
 
     def _smooth(self, tension_n: float, passed_s: float, time_s: float) -> None:
         if not math.isfinite(self._smooth_n):
@@ -197,9 +202,9 @@ class HeldTension:
             self._goes_on = math.copysign(grown_mm, grown_mm * stretched_mm) > GROWS_MM_S * GROWTH_MARKS * GROWTH_MARK_S
             self._growth.append(self._slow_mm)
         if abs(stretched_mm) * self._stiffness > SHARE * self._from_n:
-            self.stretched_mm = stretched_mm
+            self.seen.stretched_mm = stretched_mm
         if self._goes_on:
-            self.growing_mm = stretched_mm
+            self.seen.growing_mm = stretched_mm
 
     def _begin_mark(self) -> None:
         self._marks.clear()
@@ -247,9 +252,9 @@ class HeldTension:
             self._goes_on_slowly = self._falls_slowly()
         fallen_n = self._highest_n - smooth_n
         if fallen_n > SHARE * self._highest_n:
-            self.fallen_n = fallen_n
+            self.seen.fallen_n = fallen_n
         if self._goes_on or self._goes_on_slowly:
-            self.sinks_n = fallen_n
+            self.seen.sinks_n = fallen_n
 
     def _falls_slowly(self) -> bool:
         """Every mark is below the one before it, and together they are a motion of `SLOW_MM_S` at least."""

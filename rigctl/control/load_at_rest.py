@@ -42,12 +42,12 @@ class LoadRest:
     def look(self, causes: int, snapshot: Snapshot) -> LoadAtRest:
         """One tick; ``causes``: the fault that is latched and the causes that are active, see `Fault.bit`."""
         self.tension_seen = (
-            not causes & CELL_BITS and not snapshot.cell_frozen
+            not causes & CELL_BITS and not snapshot.probe.cell_frozen
             and snapshot.cell_quality == 0 and snapshot.cell_heard
         )  # fmt: skip
         self.slack = self.tension_seen and snapshot.tension_n < self._slack_n
         self.tension_ns = self._tension_at_rest_ns(snapshot)
-        if abs(snapshot.sinks_n) <= self._still_n:
+        if abs(snapshot.held_tension.sinks_n) <= self._still_n:
             self._falls_ns = snapshot.t_ns
         by_tension = self.tension_seen and not self.slack
         by_stroke = not causes & STROKE_BITS and snapshot.drive_heard
@@ -58,7 +58,7 @@ class LoadRest:
         stroke_moves = by_stroke and snapshot.still_ns < REST_NS
         if not (by_tension or by_stroke):
             self.shown = LoadAtRest.UNKNOWN
-        elif tension_moves or stroke_moves or snapshot.sink_mm_s:
+        elif tension_moves or stroke_moves or snapshot.sinking.speed_mm_s:
             self.shown = LoadAtRest.MOVES
         elif by_tension and by_stroke:
             self.shown = LoadAtRest.BOTH

@@ -18,6 +18,7 @@ from rigctl.control.network_state import Notices
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.readback import Lost
+from rigctl.control.run_out import stale_ns
 from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation, slot_values
 from rigctl.control.tension import TensionLaw
@@ -76,7 +77,8 @@ class Logbook:
         self._rings = rings
         self._values, self._in_order = RECORD.by_name()
         self._noticed: dict[tuple[Kind, int, int], int] = {}  # earliest time of the next one
-        self._slope_stale_ns = settings.safety.inclination_stale_ms * 1_000_000
+        self._slope_stale_ns, rail = settings.safety.inclination_stale_ms * 1_000_000, settings.rail_encoder
+        self._rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._failures = self._receive_failures = 0
 
     def record(  # noqa: PLR0915 - one line for each field of the record
@@ -101,16 +103,16 @@ class Logbook:
         values = self._values
         values.t_ns = t_ns
         values.tick = tick
-        values.skipped = observer.skipped
+        values.skipped = observer.skips.total
         values.lateness_ns = lateness_ns
         values.work_ns = work_ns
         values.mode = machine.mode
         values.held_by = snapshot.held_by
         values.power_off = snapshot.power_off
         values.load_at_rest = snapshot.load_at_rest
-        values.sink_mm_s = snapshot.sink_mm_s
-        sinks_mm_s = -snapshot.sink_mm_s
-        values.slack_s = snapshot.sink_left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
+        values.sink_mm_s = snapshot.sinking.speed_mm_s
+        sinks_mm_s = -snapshot.sinking.speed_mm_s
+        values.slack_s = snapshot.sinking.left_mm / sinks_mm_s if sinks_mm_s > 0.0 else math.nan
         values.end_s = end_s
         values.slipped_n = slipped_n
         values.fault = machine.fault
@@ -181,12 +183,12 @@ class Logbook:
         values.send_failures = outbox.failures
         values.error_frames = inbox.network.error_frames
         values.rail_rad = inbox.rail.rad
-        values.rail_quality = inbox.rail.quality | (_STALE if observer.rail_age_ns > observer.rail_stale_ns else 0)
+        values.rail_quality = inbox.rail.quality | (_STALE if snapshot.rail_age_ns > self._rail_stale_ns else 0)
         values.run_out_mm_s = observer.run_out_mm_s
         values.learned_mm_s = learned_mm_s
         values.move = move
-        values.drive_current_a = snapshot.drive_current_a
-        values.drive_temperature_c = snapshot.drive_temperature_c
+        values.drive_current_a = snapshot.drive_status.current_a
+        values.drive_temperature_c = snapshot.drive_status.temperature_c
         values.checks = checks
         values.command_seq = command_seq
         values.hold_seq = self._rings.holds.head

@@ -237,7 +237,7 @@ class Loop:
         elif machine.fault is Fault.NONE is not fault:
             self._orders.acknowledged(fault, t_ns)
         if machine.sequence.motor:
-            self._load.follow()  # the motor took the load from the brake
+            self._load.latch_anew()  # the motor took the load from the brake
 
     def _take_outcome(self, estimate: Estimate) -> None:
         """Keep what the machine has done for the record, and begin the modes that it has entered."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import ProbeSeen
 from rigctl.control.margin_probe import Probe
 from rigctl.control.probe_plan import JUDGEMENTS_PER_PERIOD, ProbePlan
 from rigctl.control.sensor_probe import ProbeFinding, SensorProbe
@@ -15,16 +16,18 @@ from rigctl.control.unseen_travel import UnseenTravel
 class NoProbe:
     """Of a law that is none of ours: what it would make of a multisine is not known.
 
-    ``found``: see `rigctl.control.sensor_probe`, and in ``words``. ``travel``: the one of two that is nearer to its
-    bound: since COMPENSATING began, or since the ramp before it.
+    ``found``: see `rigctl.control.sensor_probe`; ``seen`` has it from the next ``look`` on. The travel is the one of
+    two that is nearer to its bound: since COMPENSATING began, or since the ramp before it.
     """
 
     def __init__(self, settings: RigSettings, detection_s: float = 0.0, step_s: float = 1.0) -> None:
-        self.found, self.words = ProbeFinding.NONE, ""
+        self.found = self._shown = ProbeFinding.NONE
+        self._words = ""
         self._regulated = UnseenTravel(settings, detection_s, step_s)
         self._ramped = UnseenTravel(settings, detection_s, step_s)
         self._watches_ramp = settings.plant.mechanism_n_mm is None  # one that gives way bounces on the ramp
-        self.travel = self._regulated
+        self.seen = ProbeSeen(travel=self._regulated.seen)
+        self.stiffness_n_mm = self._regulated.stiffness_n_mm
         self._judged = True  # nothing can be said of the cell: only the whole travel is bounded
 
     def look(
@@ -50,13 +53,20 @@ class NoProbe:
                 )
             else:
                 travel.end()
-        ramped, regulated = self._ramped, self._regulated
-        self.travel = ramped if ramped.excess_n > regulated.excess_n else regulated
+        ramped, regulated, seen = self._ramped.seen, self._regulated.seen, self.seen
+        seen.travel, seen.words = ramped if ramped.excess_n > regulated.excess_n else regulated, self._words
+        if self.found is not self._shown:
+            self._shown = found = self.found
+            seen.cell_frozen = found is ProbeFinding.CELL_FROZEN
+            seen.encoder_stuck = found is ProbeFinding.ENCODER_STUCK
+            seen.drive_motionless = found is ProbeFinding.DRIVE_MOTIONLESS
+            seen.rope_changed = found is ProbeFinding.ROPE_CHANGED
 
     def found_stiffness(self, n_mm: float) -> None:
         """The sign check has found this stiffness."""
         self._regulated.found_stiffness(n_mm)
         self._ramped.found_stiffness(n_mm)
+        self.stiffness_n_mm = self._regulated.stiffness_n_mm
 
     def speed_mm_s(
         self, _snapshot: Snapshot, _command_mm_s: float, _ticks: int, *, free: bool  # noqa: ARG002
@@ -97,8 +107,8 @@ class LoopProbe(NoProbe):
             if sensors.see(multisine.place, snapshot.tension_n, snapshot.stroke_mm, command_mm_s):
                 self._judged = sensors.found is ProbeFinding.WHOLE
                 if sensors.found is ProbeFinding.ROPE_CHANGED:
-                    self.words = f"{sensors.rope.now_n_mm:.3g} N/mm, {sensors.rope.before_n_mm:.3g} N/mm before"
+                    self._words = f"{sensors.rope.now_n_mm:.3g} N/mm, {sensors.rope.before_n_mm:.3g} N/mm before"
                 elif sensors.found > ProbeFinding.WHOLE and math.isfinite(sensors.share):
-                    self.words = f"the cell shows {sensors.share:.2f} of it, limit {self._least:.2f}"
+                    self._words = f"the cell shows {sensors.share:.2f} of it, limit {self._least:.2f}"
         self.found = sensors.found
         return speed_mm_s

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
 from rigctl.control.channels import NEVER_NS
-from rigctl.control.drive_power import CURRENT_SHARE
+from rigctl.control.drive_status import DriveStatus
 from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.homed import Homed
 from rigctl.control.inbox import Inbox
@@ -24,10 +22,9 @@ from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
 from rigctl.control.power_seen import ON_COMMANDS, PowerDetector, Standstill
 from rigctl.control.readback import Readback
+from rigctl.control.recent_count import RecentCount
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.safety import status_stale_ns
-from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.signs import SignCheck
 from rigctl.control.sinking import Sinking
 from rigctl.control.snapshot import EStop, Snapshot
@@ -56,8 +53,6 @@ _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value
 _LIMITED_STROKE, _ENABLE = Flag.LIMITED_STROKE.value, Controlword.ENABLE_OPERATION.value
 UNLOADED_REJECTS = 3  # rejects after which, with the drive off, a rope loaded or let go by hand is believed
-CURRENT_NS = 500_000_000
-"""For so long after the drive reports off, `CURRENT_SHARE` of the motor's rated current shows power."""
 LEAST_COSINE = 0.5  # a rope at 60 deg; larger angles are not believed
 
 
@@ -65,7 +60,8 @@ class Observer:
     """Reads the inbox and runs the filters. ``snapshot`` is for safety, ``estimate`` for the law.
 
     Every field of the snapshot is assigned here, in one place: by `look` from the devices' samples, by
-    `look_at_control` from the loop's other parts, which are only read here, and by `estimate` from the filters.
+    `look_at_control` from the loop's other parts, and by `estimate` from the filters. A detector's findings are its
+    own, in a group that the snapshot holds.
     """
 
     def __init__(
@@ -76,31 +72,33 @@ class Observer:
         self.inbox = inbox
         self._outbox, self._machine, self._law, self._homed = outbox, machine, law, homed
         self._readback, self._signs, self._probe = readback, signs, probe
-        self._stroke_hold, self._held_tension = stroke_hold, held_tension
-        self._plausibility = Plausibility(settings)
+        self._held_tension = held_tension
+        self._plausibility, self._take_up = Plausibility(settings), TakeUp(settings)
         self._went_off = True  # the drive has been off since it was last commanded to be enabled
         self._period_s = settings.loop.period_ns * 1e-9
         self._fastest_mm_s = 0.0  # speed seen or commanded since the drive's newest sample
         self._stale_ns = settings.safety.stale_ms * 1_000_000
         self._bus_silent_ns = settings.safety.bus_silent_ms * 1_000_000
-        self._power = PowerDetector(settings)
+        self._power, self._status = PowerDetector(settings), DriveStatus(settings)
+        self._sinking = Sinking(settings, rope)
         self.snapshot = Snapshot(
-            heartbeats_t_ns=inbox.network.heartbeats_t_ns, node_states=inbox.network.states, power=self._power.seen
-        )
+            heartbeats_t_ns=inbox.network.heartbeats_t_ns, node_states=inbox.network.states, power=self._power.seen,
+            sinking=self._sinking.seen, plausibility=self._plausibility.seen,
+            held_tension=held_tension.seen, stroke_hold=stroke_hold.seen, take_up=self._take_up.seen,
+            probe=probe.seen, signs=signs.seen, readback=readback.seen, drive_status=self._status.seen,
+        )  # fmt: skip
         self.filter = TensionFilter(filter_model(settings))
         self.inclination = InclinationFilter(settings)
         self.tension_n, self.tight_ns = 0.0, 0  # newest good sample; when the rope was last slack
         self.cosine = 1.0  # of the rope against the vertical
         self.run_out_mm_s = 0.0  # disturbance speed from the run-out table
-        self.rail_age_ns = self.skipped = self.just_skipped = 0
+        self.just_skipped = 0
         self.sensitivity_peak = self.sensitivity_peak_error = math.nan  # of this COMPENSATING, from the gateway
         self._stretch = Stretch(settings.plant.rope_length_mm, 1.0 / settings.loop.rate_hz)
         leads = settings.estimator.inclination_swing_hz is not None
         self._stretch_lead = StretchLead(settings) if leads else None
-        self._skips: deque[tuple[int, int]] = deque(maxlen=4096)
-        self._errors: deque[tuple[int, int]] = deque(maxlen=4096)  # time, error frames up to then
-        self._errors_before = self._no_current_ns = 0  # error frames older than a second; last tick that shows no power
-        self._window_ns = settings.safety.overrun_window_ms * 1_000_000
+        self.skips = RecentCount(settings.safety.overrun_window_ms * 1_000_000)  # ticks that were skipped
+        self._errors = RecentCount(_SECOND_NS)  # error frames
         self._slack_n = settings.tension.slack_n
         self.slack = True  # the rope does not pull
         # Plain frames come at the device's own time: a SYNC says nothing about them.
@@ -108,15 +106,11 @@ class Observer:
         self._sync_timing = SyncTiming(1.0 / settings.loop.rate_hz) if by_sync else None
         self._grid_ns = self._last_grid_ns = NEVER_NS
         rail, run_out = settings.rail_encoder, settings.run_out
-        self.rail_stale_ns = stale_ns(rail) if rail is not None else 0
-        self._status_stale_ns = status_stale_ns(settings)
-        self._current_a = CURRENT_SHARE * (settings.cylinder.rated_current_a or math.inf)
+        self._rail_stale_ns = stale_ns(rail) if rail is not None else 0
         self._io_fitted, self._warmth_fitted = settings.io is not None, settings.cell_temperature_divisor > 0
         self._io_stale_ns = settings.io.stale_ms * 1_000_000 if settings.io is not None else 0
-        self._e_stop_fitted = settings.cylinder.e_stop_input is not None
         self._run_out = RunOutTable(run_out, settings) if run_out is not None else None
-        self._take_up = TakeUp(settings)
-        self._standstill, self._sinking = Standstill(settings), Sinking(settings, rope)
+        self._standstill = Standstill(settings)
         self.power_off = PowerOffWatch()
         self._load_rest = LoadRest(settings)
         self._rested = False  # the load has been at rest on the closed brake
@@ -126,12 +120,13 @@ class Observer:
         inbox, snapshot, network, drive = self.inbox, self.snapshot, self.inbox.network, self.inbox.drive
         statusword = drive.statusword
         inbox.cell.fuse(drive.stroke_mm, drive.speed_mm_s, now_ns)
-        self.just_skipped, snapshot.t_ns = skipped, now_ns
+        self.just_skipped = skipped
+        snapshot.t_ns = now_ns
+        skips, errors = self.skips, self._errors
         if skipped:
-            self.skipped += skipped
-            self._skips.append((now_ns, skipped))
-        while self._skips and now_ns - self._skips[0][0] > self._window_ns:
-            self._skips.popleft()
+            skips.add(now_ns, skipped)
+        if skips.count:
+            skips.look(now_ns)
         state = drive_state(statusword)
         snapshot.tension_n, snapshot.cell_quality = inbox.cell.tension_n, inbox.cell.quality
         snapshot.reading_n = inbox.cell.reading_n
@@ -139,7 +134,7 @@ class Observer:
         snapshot.cell_heard = snapshot.cell_age_ns <= self._stale_ns
         snapshot.inclination_quality = inbox.slope.quality
         snapshot.inclination_age_ns = now_ns - inbox.slope.t_ns
-        self.rail_age_ns = snapshot.rail_age_ns = now_ns - inbox.rail.t_ns
+        snapshot.rail_age_ns = now_ns - inbox.rail.t_ns
         snapshot.stroke_mm, snapshot.speed_mm_s = drive.stroke_mm, drive.speed_mm_s
         snapshot.tangential_rad, snapshot.normal_rad = inbox.slope.tangential_rad, inbox.slope.normal_rad
         snapshot.drive_age_ns = now_ns - drive.t_ns
@@ -147,17 +142,13 @@ class Observer:
         snapshot.drive_enabled = state is DriveState.OPERATION_ENABLED
         snapshot.drive_off = state in OFF_STATES
         snapshot.drive_faulted = state is DriveState.FAULT or state is DriveState.FAULT_REACTION_ACTIVE
-        snapshot.still_ns = self._standstill.look(now_ns, snapshot.stroke_mm, snapshot.speed_mm_s, snapshot.drive_heard)
-        self._look_at_drive_status(now_ns)
+        snapshot.still_ns = self._standstill.look(now_ns, drive.stroke_mm, drive.speed_mm_s, snapshot.drive_heard)
+        self._status.look(now_ns, inbox, off=snapshot.drive_off)
         self._power.look(
             now_ns, state, self._outbox.controlword, snapshot.still_ns,
-            heard=snapshot.drive_heard, current=snapshot.drive_current_flows,
+            heard=snapshot.drive_heard, current=snapshot.drive_status.flows,
         )  # fmt: skip
-        sinking = self._sinking
-        sinking.look(now_ns, snapshot)
-        snapshot.sink_mm_s, snapshot.sink_apart_mm, snapshot.sink_left_mm = (
-            sinking.speed_mm_s, sinking.apart_mm, sinking.left_mm,
-        )  # fmt: skip
+        self._sinking.look(now_ns, snapshot)
         self._look_at_fitted(now_ns)
         snapshot.e_stop = inbox.drive_status.e_stop | (inbox.inputs.e_stop and IO_NODE)
         snapshot.drive_warning = statusword & STATUS_WARNING != 0
@@ -166,20 +157,17 @@ class Observer:
         snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
         snapshot.rival_age_ns, snapshot.rival_words = now_ns - network.rival_t_ns, network.rival_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
-        snapshot.error_frames = self._recent_error_frames(now_ns) if network.error_frames else 0
-        snapshot.skipped_in_window = sum(n for _, n in self._skips) if self._skips else 0
+        if network.error_frames != errors.total:
+            errors.add(now_ns, network.error_frames - errors.total)
+        if errors.count:
+            errors.look(now_ns)
+        snapshot.error_frames, snapshot.skipped_in_window = errors.count, skips.count
         snapshot.device_restarted = network.restarted
         snapshot.sensor_emergency, snapshot.drive_emergency = network.sensor_emergency, network.drive_emergency
-        figures, enabled = self._plausibility, snapshot.drive_enabled
-        figures.look(
-            inbox, self._law.command_mm_s if enabled else 0.0, ticks=1 + skipped, drive_enabled=enabled,
-            slack=self.slack, mode=self._machine.mode,
+        self._plausibility.look(
+            inbox, self._law.command_mm_s if snapshot.drive_enabled else 0.0, ticks=1 + skipped,
+            drive_enabled=snapshot.drive_enabled, slack=self.slack, mode=self._machine.mode,
         )  # fmt: skip
-        snapshot.speed_error_mm_s, snapshot.stroke_error_mm = figures.speed_error_mm_s, figures.stroke_error_mm
-        snapshot.runaway_mm_s = figures.runaway_mm_s
-        snapshot.contradiction_mm, snapshot.unexplained_mm = figures.contradiction_mm, figures.unexplained_mm
-        snapshot.cell_repeats, snapshot.cell_unrest_n = figures.cell_repeats, figures.cell_unrest_n
-        snapshot.tension_rate_n_s, snapshot.cell_step_n = figures.tension_rate_n_s, figures.step.step_n
 
     def look_at_control(self, t_ns: int, commanded_ns: int, travel_from: tuple[float, float]) -> None:
         """Add to the snapshot what the loop itself wants and has found; after `look`.
@@ -193,7 +181,7 @@ class Observer:
         compensating = machine.mode is Mode.COMPENSATING
         tight = (compensating or machine.mode is Mode.TENSIONING) and not self.slack
         from_mm, from_n = travel_from
-        wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.travel.stiffness_n_mm)
+        wanted_mm = (law.setpoint_n - from_n) / (self.cosine * self._probe.stiffness_n_mm)
         snapshot.travel_mm = self.inbox.drive.stroke_mm - from_mm - wanted_mm if compensating else 0.0
         if not compensating:
             self.sensitivity_peak = self.sensitivity_peak_error = math.nan
@@ -203,21 +191,11 @@ class Observer:
         probe, setpoint_n = self._probe, law.setpoint_n if compensating else max(law.setpoint_n, law.target_n)
         ramping = machine.mode is Mode.TENSIONING and self._signs.passed and not self.slack
         probe.look(snapshot, self.cosine, setpoint_n / self.cosine, ramping=ramping, compensating=compensating)
-        travel = probe.travel
-        snapshot.cell_frozen = probe.found is ProbeFinding.CELL_FROZEN
-        snapshot.encoder_stuck = probe.found is ProbeFinding.ENCODER_STUCK
-        snapshot.drive_motionless = probe.found is ProbeFinding.DRIVE_MOTIONLESS
-        snapshot.rope_changed = probe.found is ProbeFinding.ROPE_CHANGED
-        snapshot.probe_words = probe.words
-        snapshot.unseen_n, snapshot.unseen_bound_n = travel.unseen_n, travel.bound_n
-        snapshot.unseen_excess_n = travel.excess_n
-        tensioning = machine.mode is Mode.TENSIONING
+        status, tensioning = snapshot.drive_status, machine.mode is Mode.TENSIONING
         self._take_up.look(
-            snapshot.drive_current_a, snapshot.status_age_ns, law.command_mm_s, snapshot.tension_n, law.target_n,
-            slack=self.slack, tensioning=tensioning,
+            status.current_a, status.age_ns, law.command_mm_s, snapshot.tension_n, law.target_n, slack=self.slack,
+            tensioning=tensioning,
         )  # fmt: skip
-        snapshot.taken_up_n, snapshot.taken_up_limit_n = self._take_up.rise_n, self._take_up.limit_n
-        snapshot.taken_up_shown_n, snapshot.taken_up_excess_n = self._take_up.shown_n, self._take_up.excess_n
         snapshot.stroke_limited = law.limits & _LIMITED_STROKE != 0
         snapshot.rope_lost = law.rope_lost if tensioning else self._held_tension.lost
         snapshot.drive_wanted = machine.sequence.motor and not machine.sequence.ends
@@ -230,15 +208,8 @@ class Observer:
         self._look_at_power()
         snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
-        snapshot.excursion_mm, snapshot.corrected_mm = self._stroke_hold.error_mm, self._stroke_hold.corrected_mm
-        held = self._held_tension
-        snapshot.stretched_mm, snapshot.growing_mm = held.stretched_mm, held.growing_mm
-        snapshot.fallen_n, snapshot.sinks_n = held.fallen_n, held.sinks_n
-        fault = self._signs.fault
-        snapshot.drive_reversed, snapshot.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
-        snapshot.slope_words = self._signs.words
-        if self._readback.lost or snapshot.settings_lost:
-            self.look_at_settings()
+        if self._readback.lost or snapshot.readback.lost:
+            self._readback.show()
 
     @property
     def shown_off(self) -> bool:
@@ -256,7 +227,7 @@ class Observer:
         snapshot.power_off = self.power_off.look(machine.fault, machine.sequence.action, snapshot, rest, braked=braked)
         rests = snapshot.load_at_rest.rests
         self._rested &= braked
-        settles = not self._rested and seen.settles and not snapshot.sink_mm_s
+        settles = not self._rested and seen.settles and not snapshot.sinking.speed_mm_s
         self._rested |= braked and rests and seen.left_alone
         snapshot.held_by = held_by(
             machine.sequence,
@@ -274,7 +245,7 @@ class Observer:
         state = snapshot.power.state
         commanded_on, powered = self._outbox.controlword in ON_COMMANDS, state not in UNPOWERED_STATES
         reported = powered if fresh else snapshot.drive_may_be_on
-        snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_has_current
+        snapshot.drive_may_be_on = commanded_on or reported or snapshot.drive_status.lasts
         snapshot.drive_stops = state in STOPPING_STATES
         speed_mm_s = max(abs(snapshot.speed_mm_s) if fresh else self._fastest_mm_s, abs(self._law.command_mm_s))
         self._fastest_mm_s = speed_mm_s
@@ -293,27 +264,6 @@ class Observer:
     def forget_sinking(self) -> None:
         """What the stroke did on the brake before now is acknowledged."""
         self._sinking.forget()
-
-    def look_at_settings(self) -> None:
-        """Take from the read-back which settings of the devices are lost."""
-        snapshot, readback = self.snapshot, self._readback
-        snapshot.settings_lost, snapshot.disobeys = len(readback.lost), readback.disobeys
-        snapshot.unsupervised, snapshot.settings_words = readback.drive_changed, readback.worst
-
-    def _look_at_drive_status(self, now_ns: int) -> None:
-        """Current and temperature, where the drive's status is configured; a stale status counts as unknown."""
-        if not self._status_stale_ns:
-            return
-        inbox, snapshot = self.inbox, self.snapshot
-        snapshot.status_age_ns = now_ns - inbox.drive_status.t_ns
-        stale = snapshot.status_age_ns > self._status_stale_ns
-        snapshot.drive_temperature_c = math.nan if stale else inbox.drive_status.temperature_c
-        current_a = snapshot.drive_current_a = math.nan if stale else inbox.drive_status.current_a
-        snapshot.drive_current_flows = current_a > self._current_a or current_a < -self._current_a
-        if not (snapshot.drive_current_flows and snapshot.drive_off):
-            self._no_current_ns = now_ns
-        snapshot.drive_has_current = now_ns - self._no_current_ns >= CURRENT_NS
-        snapshot.e_stop_unseen = stale and self._e_stop_fitted
 
     def _look_at_fitted(self, now_ns: int) -> None:
         """What only some rigs have."""
@@ -361,7 +311,10 @@ class Observer:
                 self._run_out.lose()
         else:
             if self._run_out is not None:
-                self.run_out_mm_s = self._run_out_speed(self._run_out, 1 + skipped, regulated)
+                known = not inbox.rail.quality and self.snapshot.rail_age_ns <= self._rail_stale_ns
+                self.run_out_mm_s = self._run_out.step(
+                    inbox.rail.rad, 1 + skipped, kalman.state[2], fresh=inbox.rail_fresh, known=known, learns=regulated
+                )
             timing, known_mm_s = self._sync_timing, stretch_mm_s + self.run_out_mm_s
             kalman.update(
                 inbox.cell.tension_n if inbox.cell_fresh else None,
@@ -390,31 +343,9 @@ class Observer:
     def correct(self, correction: Correction, *, held_s: float = math.nan, history: CellHistory | None = None) -> None:
         """Apply a correction and restart the filter there: the step it makes in the reading is no innovation."""
         self.inbox.cell.correct(correction, held_s=held_s, history=history)
-        self._held_tension.follow()
+        self._held_tension.latch_anew()
         self._take_up.forget()
         if math.isfinite(self.inbox.cell.tension_n):
             self.tension_n = self.inbox.cell.tension_n
             self.slack = self.tension_n < self._slack_n
             self.filter.reset(self.tension_n, self.inbox.drive.speed_mm_s, self.filter.known_mm_s)
-
-    def _recent_error_frames(self, now_ns: int) -> int:
-        """CAN error frames within the last second."""
-        total, seen = self.inbox.network.error_frames, self._errors
-        if total and (not seen or seen[-1][1] != total):
-            seen.append((now_ns, total))
-        while seen and now_ns - seen[0][0] > _SECOND_NS:
-            self._errors_before = seen.popleft()[1]
-        return total - self._errors_before
-
-    def _run_out_speed(self, table: RunOutTable, ticks: int, regulated: bool) -> float:
-        """Disturbance speed from the table, which learns what the filter found beside it in the tick before."""
-        inbox = self.inbox
-        if inbox.rail.quality or self.rail_age_ns > self.rail_stale_ns:
-            table.lose()
-            return 0.0
-        table.follow(inbox.rail.rad, ticks, fresh=inbox.rail_fresh)
-        if regulated:
-            table.learn(self.filter.state[2])
-        else:
-            table.forget_pass()
-        return table.speed_mm_s

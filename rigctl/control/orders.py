@@ -226,7 +226,7 @@ class Orders:
         elif given.refusal is Refusal.SUNK:
             figures = {"moved_mm": self._armed_mm - self._observer.snapshot.stroke_mm}
         elif given.refusal is Refusal.DISAGREE:
-            figures = {"apart_mm": self._observer.snapshot.sink_apart_mm}
+            figures = {"apart_mm": self._observer.snapshot.sinking.apart_mm}
         elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
             figures = {"carried_s": max(0, self._machine.sequence.carry_until_ns - t_ns) * 1e-9}
         elif given.refusal is Refusal.LOADED:
@@ -284,7 +284,7 @@ class Orders:
         idle = waiting is None and not machine.sequence.pending
         if idle and verb is Verb.RESET and machine.mode is Mode.DISARMED:
             self._readback.forget()  # ARM reads all of it again
-            self._observer.look_at_settings()
+            self._readback.show()
         situation = self._situation(t_ns, verb, values)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
@@ -374,7 +374,7 @@ class Orders:
             at_rest=snapshot.still_ns >= STILL_NS,
             room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
             strays=self._carried.strayed_mm != 0.0,
-            apart_mm=snapshot.sink_apart_mm or self._carried.strayed_mm,
+            apart_mm=snapshot.sinking.apart_mm or self._carried.strayed_mm,
             drive_faulted=snapshot.drive_faulted,
             drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
             slack=observer.slack,

@@ -9,6 +9,7 @@ import math
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_step import CellStep
+from rigctl.control.findings import PlausibilitySeen
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.inbox import Inbox
 from rigctl.control.modes import Mode
@@ -63,15 +64,7 @@ class DriveModel:
 
 
 class Plausibility:
-    """Eight figures, for the self.
-
-    ``runaway_mm_s``: by how much the drive's speed is beyond any command, while that grows from sample to sample.
-    ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
-    sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
-    beside it. ``unexplained_mm``: stretch by the tension that the stroke does not explain. ``cell_repeats``: samples in
-    a row with the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms, in which a single
-    step counts little. ``tension_rate_n_s``: low-passed by 5 ms. ``step``: of the tension, that has just stayed.
-    """
+    """Makes ``seen`` of signals that are compared with each other; call ``look`` every tick."""
 
     def __init__(self, settings: RigSettings) -> None:
         plant = settings.plant
@@ -89,13 +82,12 @@ class Plausibility:
             self._yield_share = 1.0 - math.exp(-dt * math.sqrt(1e3 * plant.mechanism_n_mm / plant.payload_kg))
         self._yielded_mm = math.nan
         self._unrest_share = dt / UNREST_S
-        self.step, self._unmeasured = CellStep(settings), 0  # ticks since the cell's newest sample
+        self._step, self._unmeasured = CellStep(settings), 0  # ticks since the cell's newest sample
         self._unheard, self._modelled_mm = 0, 0.0  # ticks since the drive's newest sample; modelled distance in them
-        self.speed_error_mm_s = self.stroke_error_mm = self.contradiction_mm = self.unexplained_mm = 0.0
-        self.cell_repeats, self.cell_unrest_n, self.tension_rate_n_s = 0, 0.0, 0.0
+        self.seen = PlausibilitySeen()
         self._commanded_keep = math.exp(-dt / (COMMANDED_LAGS * plant.cylinder_lag_s))
         self._highest_mm_s = self._lowest_mm_s = 0.0  # command, with its memory
-        self._beyond_mm_s, self._growths, self.runaway_mm_s = 0.0, 0, 0.0
+        self._beyond_mm_s, self._growths = 0.0, 0
         self._enabled_s = 0.0
 
     def look(
@@ -105,6 +97,7 @@ class Plausibility:
 
         Of a held stroke the stretch is latched instead (`rigctl.control.held_tension`).
         """
+        seen = self.seen
         self._unmeasured += ticks
         if inbox.cell_fresh:
             self._look_at_cell(inbox, slack)
@@ -119,15 +112,15 @@ class Plausibility:
                 modelled_mm = self._modelled_mm
             self._stroke_mm, self._unheard, self._modelled_mm = inbox.drive.stroke_mm, 0, 0.0
         if drive_enabled:
-            self.speed_error_mm_s = abs(inbox.drive.speed_mm_s - self._drive.speed_mm_s)
-            self.stroke_error_mm = self._stroke_keep * self.stroke_error_mm + moved_mm - modelled_mm
+            seen.speed_error_mm_s = abs(inbox.drive.speed_mm_s - self._drive.speed_mm_s)
+            seen.stroke_error_mm = self._stroke_keep * seen.stroke_error_mm + moved_mm - modelled_mm
         else:
             self._drive.follow(inbox.drive.speed_mm_s)
-            self.speed_error_mm_s = self.stroke_error_mm = 0.0
+            seen.speed_error_mm_s = seen.stroke_error_mm = 0.0
         # A jump while the drive is off is the stroke's own fault; its trace must not trip the arming that follows.
         jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM
         apart_mm = 0.0 if jumped else moved_mm - said_mm
-        self.contradiction_mm = self._contradiction_keep * self.contradiction_mm + apart_mm
+        seen.contradiction_mm = self._contradiction_keep * seen.contradiction_mm + apart_mm
         self._look_at_stretch(inbox, drive_enabled and mode.moves_stroke, moved_mm, slack)
 
     def _look_for_runaway(self, inbox: Inbox, command_mm_s: float, ticks: int, drive_enabled: bool) -> None:
@@ -143,28 +136,30 @@ class Plausibility:
         self._growths = self._growths + 1 if self._beyond_mm_s > before_mm_s else 0
         taking = self._enabled_s < TAKING_S and math.isfinite(inbox.cell.tension_n)
         allowed_mm_s = TAKING_MM_S_N * max(0.0, inbox.cell.tension_n) if taking else 0.0
-        self.runaway_mm_s = max(0.0, self._beyond_mm_s - allowed_mm_s) if self._growths >= GROWTHS else 0.0
+        self.seen.runaway_mm_s = max(0.0, self._beyond_mm_s - allowed_mm_s) if self._growths >= GROWTHS else 0.0
 
     def _look_at_cell(self, inbox: Inbox, slack: bool) -> None:
-        self.step.look(inbox.cell.reading_n, self._unmeasured, self.cell_unrest_n, slack=slack)
-        self._unmeasured = 0
+        seen = self.seen
+        self._step.look(inbox.cell.reading_n, self._unmeasured, seen.cell_unrest_n, slack=slack)
+        seen.cell_step_n, self._unmeasured = self._step.step_n, 0
         step_n = abs(inbox.cell.reading_n - self._repeated_n)
-        self.cell_repeats = self.cell_repeats + 1 if step_n == 0.0 else 0
+        seen.cell_repeats = seen.cell_repeats + 1 if step_n == 0.0 else 0
         self._repeated_n = inbox.cell.reading_n
         if math.isfinite(step_n):
-            self.cell_unrest_n += (min(step_n, self._largest_n) - self.cell_unrest_n) * self._unrest_share
+            seen.cell_unrest_n += (min(step_n, self._largest_n) - seen.cell_unrest_n) * self._unrest_share
         if not math.isfinite(self._smooth_n):
             self._smooth_n = inbox.cell.tension_n
-        self.tension_rate_n_s = (inbox.cell.tension_n - self._smooth_n) / RATE_S
+        seen.tension_rate_n_s = (inbox.cell.tension_n - self._smooth_n) / RATE_S
         self._smooth_n += (inbox.cell.tension_n - self._smooth_n) * min(1.0, self._dt / RATE_S)
 
     def _look_at_stretch(self, inbox: Inbox, moving: bool, moved_mm: float, slack: bool) -> None:
+        seen = self.seen
         if not moving or not math.isfinite(self._tension_n):
-            self.unexplained_mm, self._yielded_mm = 0.0, math.nan
+            seen.unexplained_mm, self._yielded_mm = 0.0, math.nan
         else:  # a slack rope takes up stroke without a change of tension, but does not lose tension either
             gained_mm = (inbox.cell.tension_n - self._tension_n) / self._stiffness if inbox.cell_fresh else 0.0
             explained_mm = (0.0 if slack else moved_mm) - self._yields_mm()
-            self.unexplained_mm = self._stretch_keep * self.unexplained_mm + gained_mm - explained_mm
+            seen.unexplained_mm = self._stretch_keep * seen.unexplained_mm + gained_mm - explained_mm
         if inbox.cell_fresh:
             self._tension_n = inbox.cell.tension_n
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import ReadbackSeen
 from rigctl.devices import sdo
 from rigctl.devices.objects import QUICK_STOPS_BY
 from rigctl.devices.sdo import Watched
@@ -40,7 +41,10 @@ class Lost:
 
 
 class Readback:
-    """An SDO client that never blocks. ``lost``: objects whose last reading was not the wanted value."""
+    """An SDO client that never blocks. ``lost``: objects whose last reading was not the wanted value.
+
+    ``seen``: the same, as it was last shown.
+    """
 
     def __init__(self, table: Sequence[Watched], settings: RigSettings, started_ns: int) -> None:
         """``table``: from start-up, the most important first. ``started_ns``: when the loop began."""
@@ -55,6 +59,7 @@ class Readback:
         self._all_since_ns = 0  # 0: no ARM waits
         self._unread = 0
         self.lost: dict[Watched, Lost] = {}
+        self.seen = ReadbackSeen()
         self._newest: Lost | None = None  # until it is reported
         self.read = 0  # objects read so far
 
@@ -68,26 +73,14 @@ class Readback:
         """An ARM waits for every object to be read."""
         return self._unread > 0
 
-    @property
-    def disobeys(self) -> bool:
-        """A setting is lost without which the drive does not do as commanded."""
-        return bool(self.lost) and any(item.obeys and lost.found is not None for item, lost in self.lost.items())
-
-    @property
-    def drive_changed(self) -> int:
-        """Objects of the drive that were found with another value: it may not stop by itself any more.
-
-        0 where its quick stop is among them: it would stop on an unknown ramp, and has to be commanded to.
-        """
-        if not self.lost:
-            return 0
-        changed = [item for item, lost in self.lost.items() if item.node == self._drive_node and lost.found is not None]
-        return 0 if any((item.index, item.sub) in QUICK_STOPS_BY for item in changed) else len(changed)
-
-    @property
-    def worst(self) -> str:
-        """The first object that is lost, in words."""
-        return next(iter(self.lost.values())).words if self.lost else ""
+    def show(self) -> None:
+        """Put into ``seen`` what is lost now."""
+        seen, changed = self.seen, [item for item, lost in self.lost.items() if lost.found is not None]
+        of_drive = [item for item in changed if item.node == self._drive_node]
+        stops_by = any((item.index, item.sub) in QUICK_STOPS_BY for item in of_drive)
+        seen.lost, seen.disobeys = len(self.lost), any(item.obeys for item in changed)
+        seen.unsupervised = 0 if stops_by else len(of_drive)
+        seen.words = next(iter(self.lost.values())).words if self.lost else ""
 
     def report(self) -> Lost | None:
         """The newest lost object that has not been reported."""

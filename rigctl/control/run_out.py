@@ -64,7 +64,7 @@ class _Way:
 class RunOutTable:
     """The table and the pass under way.
 
-    Each tick: ``follow`` with the newest angle or ``lose`` without one, then read ``speed_mm_s``, then ``learn``.
+    Each tick: ``step``, or ``lose`` where there is nothing to compensate.
 
     Args:
         settings: the section `run_out`.
@@ -102,6 +102,29 @@ class RunOutTable:
         """Disturbance speed by the table, mm/s; positive stretches the rope."""
         self.lead_mm_s = 0.0
         """Change of ``speed_mm_s`` by the time the cylinder follows a command given now, mm/s."""
+
+    def step(
+        self, angle_rad: float, ticks: int, disturbance_mm_s: float, *, fresh: bool, known: bool, learns: bool
+    ) -> float:  # fmt: skip
+        """One tick; returns ``speed_mm_s``.
+
+        Args:
+            angle_rad: the newest sample.
+            ticks: since the last one.
+            disturbance_mm_s: found beside the table's in the tick before.
+            fresh: the sample came in this tick.
+            known: it is good, and not stale.
+            learns: the law regulates.
+        """
+        if not known:
+            self.lose()
+            return 0.0
+        self.follow(angle_rad, ticks, fresh=fresh)
+        if learns:
+            self.learn(disturbance_mm_s)
+        else:
+            self.forget_pass()
+        return self.speed_mm_s
 
     def follow(self, angle_rad: float, ticks: int, *, fresh: bool) -> None:
         """Advance ``ticks`` periods; ``angle_rad`` is the newest sample, ``fresh`` if it came in this tick."""

@@ -161,7 +161,7 @@ def _highest_n(snapshot: Snapshot) -> float:
 
 
 def _probe_words(snapshot: Snapshot) -> str:
-    return snapshot.probe_words
+    return snapshot.probe.words
 
 
 def table(settings: RigSettings) -> tuple[Row, ...]:
@@ -180,11 +180,11 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.E_STOP, FieldValue("e_stop"), 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, FieldValue("bus_age_ns"), s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
         Row(Fault.RIVAL, lambda x: x.rival_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.rival_words),
-        Row(Fault.SUPERVISION_LOST, FieldValue("settings_lost"), 0, 0, _ARMED, "", words=lambda x: x.settings_words),
-        Row(Fault.SUPERVISION_LOST, FieldValue("unsupervised"), 0, 0, _ARMED, "drive", Action.QUICK_STOP,
-            words=lambda x: x.settings_words),
-        Row(Fault.SUPERVISION_LOST, FieldValue("disobeys"), 0, 0, _ARMED, "commands", lost,
-            words=lambda x: x.settings_words),
+        Row(Fault.SUPERVISION_LOST, FieldValue("readback.lost"), 0, 0, _ARMED, "", words=lambda x: x.readback.words),
+        Row(Fault.SUPERVISION_LOST, FieldValue("readback.unsupervised"), 0, 0, _ARMED, "drive", Action.QUICK_STOP,
+            words=lambda x: x.readback.words),
+        Row(Fault.SUPERVISION_LOST, FieldValue("readback.disobeys"), 0, 0, _ARMED, "commands", lost,
+            words=lambda x: x.readback.words),
         Row(Fault.STROKE_JUMPED, FieldValue("stroke_jump_mm"), TOLERANCE_MM, 0, _ARMED, "mm", lost),
         Row(Fault.SYNC_LOST, FieldValue("sync_age_ns"), stale, 0, _ARMED, "ns"),
         Row(Fault.DRIVE_STALE, FieldValue("drive_age_ns"), stale, 0, _ARMED, "ns"),
@@ -197,8 +197,8 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         *_io_rows(settings),
         *_status_rows(settings),
         Row(Fault.DRIVE_FAULT, FieldValue("drive_faulted"), 0, 0, _ARMED, ""),
-        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("runaway_mm_s"), SPEED_ERROR_MM_S, 0, _ARMED, "mm/s", lost, RUNAWAY,
-            at_once=True),
+        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("plausibility.runaway_mm_s"), SPEED_ERROR_MM_S, 0, _ARMED,
+            "mm/s", lost, RUNAWAY, at_once=True),
         Row(Fault.DRIVE_NOT_FOLLOWING, _moves_off_mm_s, BRAKE_SLIP_MM_S, 0, _ON, "mm/s", lost, MOVES_OFF, at_once=True),
         Row(Fault.DRIVE_NOT_FOLLOWING, _dropped_out, 0, DRIVE_GRACE_NS, _ON, ""),
         Row(Fault.DRIVE_REFUSES, FieldValue("drive_local"), 0, DRIVE_GRACE_NS, _ARMED, "", text=_LOCAL),
@@ -210,8 +210,8 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             bars=Bars.LASTING),
         Row(Fault.DRIVE_UNASKED, _powered_mm_s(stale), BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _UNMOVED, "mm/s", lost, _POWERED,
             bars=Bars.LASTING),
-        Row(Fault.SIGN_DRIVE, FieldValue("drive_reversed"), 0, 0, _TENSIONING, ""),
-        Row(Fault.SIGN_CELL, FieldValue("cell_reversed"), 0, 0, _TENSIONING, "", words=lambda x: x.slope_words),
+        Row(Fault.SIGN_DRIVE, FieldValue("signs.drive_reversed"), 0, 0, _TENSIONING, ""),
+        Row(Fault.SIGN_CELL, FieldValue("signs.cell_reversed"), 0, 0, _TENSIONING, "", words=lambda x: x.signs.words),
         Row(Fault.CELL_INVALID, FieldValue("cell_quality"), 0, 0, _ARMED, ""),
         Row(Fault.INCLINATION_INVALID, FieldValue("inclination_quality"), 0, 0, _ARMED, ""),
         Row(Fault.TENSION_HIGH, _highest_n, s.tension_high_n, persist, _EVERY, "N"),
@@ -220,39 +220,42 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
         Row(Fault.TENSION_LOW, FieldValue("tension_n", -1.0), -s.tension_low_n, persist, _REGULATED, "N", sign=-1.0),
         Row(Fault.TENSION_LOW, _lost_n, -settings.tension.slack_n, persist, _TENSIONING | _AT_REST, "N of a load",
             sign=-1.0),
-        Row(Fault.CELL_STUCK, FieldValue("cell_repeats"), stuck, 0, _ARMED, "samples"),
-        Row(Fault.CELL_NOISY, FieldValue("cell_unrest_n"), unrest_n, UNREST_NS, _ARMED, "N"),
+        Row(Fault.CELL_STUCK, FieldValue("plausibility.cell_repeats"), stuck, 0, _ARMED, "samples"),
+        Row(Fault.CELL_NOISY, FieldValue("plausibility.cell_unrest_n"), unrest_n, UNREST_NS, _ARMED, "N"),
         Row(Fault.SENSOR_EMERGENCY, FieldValue("sensor_emergency"), 0, 0, _ARMED, ""),
         Row(Fault.DRIVE_EMERGENCY, FieldValue("drive_emergency"), 0, 0, _ARMED, ""),
-        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("speed_error_mm_s"), SPEED_ERROR_MM_S, SPEED_ERROR_NS, _ARMED,
-            "mm/s", lost, SPEED),
-        Row(Fault.DRIVE_NOT_FOLLOWING, _size("stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost, POSITION),
-        Row(Fault.DRIVE_CONTRADICTS, _size("contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
-        Row(Fault.STROKE_NOT_HELD, _size("excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
-        Row(Fault.POSITION_DRIFTS, _size("corrected_mm"), CORRECTED_MM, 0, _AT_REST, "mm", lost),
+        Row(Fault.DRIVE_NOT_FOLLOWING, FieldValue("plausibility.speed_error_mm_s"), SPEED_ERROR_MM_S, SPEED_ERROR_NS,
+            _ARMED, "mm/s", lost, SPEED),
+        Row(Fault.DRIVE_NOT_FOLLOWING, _size("plausibility.stroke_error_mm"), STROKE_ERROR_MM, 0, _ARMED, "mm", lost,
+            POSITION),
+        Row(Fault.DRIVE_CONTRADICTS, _size("plausibility.contradiction_mm"), CONTRADICTION_MM, 0, _ARMED, "mm"),
+        Row(Fault.STROKE_NOT_HELD, _size("stroke_hold.excursion_mm"), NOT_HELD_MM, NOT_HELD_NS, _HELD, "mm", lost),
+        Row(Fault.POSITION_DRIFTS, _size("stroke_hold.corrected_mm"), CORRECTED_MM, 0, _AT_REST, "mm", lost),
         Row(Fault.STROKE_MOVES, _unbraked_mm_s(stale), BRAKE_SLIP_MM_S, BRAKE_SLIP_NS, _HELD, "mm/s", lost,
             words=_slack_words, bars=Bars.NEVER),
         Row(Fault.STROKE_MOVES, _sinks_mm_s, SINK_MM_S, SINK_NS, _HELD, "mm/s slowly", lost, words=_slack_words),
         Row(Fault.INNOVATION, FieldValue("rejects"), settings.estimator.reject_limit - 1, 0, _MOVING, "samples"),
         Row(Fault.INNOVATION, FieldValue("slope_rejects"), SLOPE_REJECTS - 1, 0, _MOVING, "slopes"),
-        Row(Fault.INNOVATION, FieldValue("cell_step_n"), 0, 0, _MOVING, "N at once"),
-        Row(Fault.CELL_FROZEN, FieldValue("cell_frozen"), 0, 0, _REGULATED, "", words=_probe_words),
-        Row(Fault.ENCODER_STUCK, FieldValue("encoder_stuck"), 0, 0, _REGULATED, "", Action.QUICK_STOP,
+        Row(Fault.INNOVATION, FieldValue("plausibility.cell_step_n"), 0, 0, _MOVING, "N at once"),
+        Row(Fault.CELL_FROZEN, FieldValue("probe.cell_frozen"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.ENCODER_STUCK, FieldValue("probe.encoder_stuck"), 0, 0, _REGULATED, "", Action.QUICK_STOP,
             words=_probe_words),
-        Row(Fault.DRIVE_MOTIONLESS, FieldValue("drive_motionless"), 0, 0, _REGULATED, "", lost, words=_probe_words),
-        Row(Fault.ROPE_CHANGED, FieldValue("rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
-        Row(Fault.LOAD_UNSEEN, FieldValue("unseen_excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
-            words=lambda x: f"{x.unseen_n:.1f} N (limit {x.unseen_bound_n:.1f} N)"),
-        Row(Fault.LOAD_UNSEEN, FieldValue("taken_up_excess_n"), 0, 0, _TENSIONING, "N by current",
-            words=lambda x: f"{x.taken_up_n:.1f} N by the motor's current, {x.taken_up_shown_n:.1f} N by the cell "
-            f"(limit {x.taken_up_limit_n:.1f} N apart)"),
-        Row(Fault.STRETCH_UNEXPLAINED, _size("unexplained_mm"), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING, "mm"),
-        Row(Fault.STRETCH_UNEXPLAINED, _size("stretched_mm"), stretch_limit_mm(settings), STRETCH_NS, _AT_REST,
-            "mm at rest", lost),
-        Row(Fault.STRETCH_UNEXPLAINED, _size("growing_mm"), stretch_limit_mm(settings, GROWS_MM), GROWS_NS, _AT_REST,
-            "mm growing", lost),
-        Row(Fault.LOAD_SINKS, FieldValue("sinks_n"), fall_n, SINKS_NS, _HELD, "N", text="is falling"),
-        Row(Fault.LOAD_SINKS, FieldValue("fallen_n"), fall_n, FALLEN_NS, _HELD, "N", text="has fallen",
+        Row(Fault.DRIVE_MOTIONLESS, FieldValue("probe.drive_motionless"), 0, 0, _REGULATED, "", lost,
+            words=_probe_words),
+        Row(Fault.ROPE_CHANGED, FieldValue("probe.rope_changed"), 0, 0, _REGULATED, "", words=_probe_words),
+        Row(Fault.LOAD_UNSEEN, FieldValue("probe.travel.excess_n"), 0, UNSEEN_NS, _CLOSED, "N",
+            words=lambda x: f"{x.probe.travel.unseen_n:.1f} N (limit {x.probe.travel.bound_n:.1f} N)"),
+        Row(Fault.LOAD_UNSEEN, FieldValue("take_up.excess_n"), 0, 0, _TENSIONING, "N by current",
+            words=lambda x: f"{x.take_up.rise_n:.1f} N by the motor's current, {x.take_up.shown_n:.1f} N by the cell "
+            f"(limit {x.take_up.limit_n:.1f} N apart)"),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("plausibility.unexplained_mm"), UNEXPLAINED_MM, UNEXPLAINED_NS, _MOVING,
+            "mm"),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("held_tension.stretched_mm"), stretch_limit_mm(settings), STRETCH_NS,
+            _AT_REST, "mm at rest", lost),
+        Row(Fault.STRETCH_UNEXPLAINED, _size("held_tension.growing_mm"), stretch_limit_mm(settings, GROWS_MM), GROWS_NS,
+            _AT_REST, "mm growing", lost),
+        Row(Fault.LOAD_SINKS, FieldValue("held_tension.sinks_n"), fall_n, SINKS_NS, _HELD, "N", text="is falling"),
+        Row(Fault.LOAD_SINKS, FieldValue("held_tension.fallen_n"), fall_n, FALLEN_NS, _HELD, "N", text="has fallen",
             bars=Bars.NEVER),
         Row(Fault.STROKE_END, FieldValue("stroke_limited"), 0, STROKE_END_NS, _MOVING, ""),
         Row(Fault.DEVICE_RESTARTED, FieldValue("device_restarted"), 0, 0, _ARMED, ""),
@@ -277,7 +280,7 @@ def _io_rows(settings: RigSettings) -> tuple[Row, ...]:
 def _status_rows(settings: RigSettings) -> tuple[Row, ...]:
     """Without the drive's status neither its emergency stop input nor its temperature is known."""
     stale = status_stale_ns(settings)
-    return (Row(Fault.STATUS_STALE, FieldValue("status_age_ns"), stale, 0, _ARMED, "ns"),) if stale else ()
+    return (Row(Fault.STATUS_STALE, FieldValue("drive_status.age_ns"), stale, 0, _ARMED, "ns"),) if stale else ()
 
 
 def _rail_rows(settings: RigSettings) -> tuple[Row, ...]:
@@ -373,15 +376,15 @@ def _unbraked_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:
 
 def _sinks_mm_s(snapshot: Snapshot) -> float:
     """Of a load on the closed brake; a stroke that moves under a slack rope moves no load."""
-    return abs(snapshot.sink_mm_s) if snapshot.sink_left_mm else 0.0
+    return abs(snapshot.sinking.speed_mm_s) if snapshot.sinking.left_mm else 0.0
 
 
 def _slack_words(snapshot: Snapshot) -> str:
     """When a load that sinks will have left the rope slack."""
-    sinks_mm_s = -snapshot.sink_mm_s if abs(snapshot.speed_mm_s) <= BRAKE_SLIP_MM_S else -snapshot.speed_mm_s
-    if sinks_mm_s <= 0.0 or not snapshot.sink_left_mm:
+    sinks_mm_s = -snapshot.sinking.speed_mm_s if abs(snapshot.speed_mm_s) <= BRAKE_SLIP_MM_S else -snapshot.speed_mm_s
+    if sinks_mm_s <= 0.0 or not snapshot.sinking.left_mm:
         return ""
-    return f", the rope is slack in about {snapshot.sink_left_mm / sinks_mm_s:.0f} s"
+    return f", the rope is slack in about {snapshot.sinking.left_mm / sinks_mm_s:.0f} s"
 
 
 def _powered_mm_s(stale_ns: int) -> Callable[[Snapshot], float]:
@@ -621,7 +624,7 @@ def preflight(
         Check.LIMIT: not beyond.isdisjoint(_LIMITED),
         Check.RIVAL: Fault.RIVAL in beyond,
         Check.STROKE_UNCONFIRMED: snapshot.stroke_unconfirmed,
-        Check.E_STOP_UNSEEN: snapshot.e_stop_unseen,
+        Check.E_STOP_UNSEEN: snapshot.drive_status.e_stop_unseen,
         Check.E_STOP_IO_UNSEEN: Fault.E_STOP_UNSEEN in beyond,
         Check.STATUS_STALE: Fault.STATUS_STALE in beyond,
         Check.DRIVE_REFUSES: Fault.DRIVE_REFUSES in beyond or snapshot.drive_unasked,

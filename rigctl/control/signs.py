@@ -21,6 +21,7 @@ import math
 from rigctl.config.plant_section import FOUND_FACTOR
 from rigctl.config.settings import RigSettings
 from rigctl.control.faults import Fault
+from rigctl.control.findings import SignsSeen
 
 TRAVEL_MM = 0.1  # expected travel before the drive is judged: more than its delay hides
 PATIENCE_MM = 1.0  # expected travel at which the drive must have moved
@@ -37,7 +38,7 @@ class SignCheck:
 
     ``warns``: that stiffness is off, and nothing else checks the cell's scale.
 
-    ``probe_mm_s``: speed of the probing move in open loop; 0 for none. ``words``: of a stiffness beyond the family.
+    ``probe_mm_s``: speed of the probing move in open loop; 0 for none.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -53,7 +54,7 @@ class SignCheck:
         self._warned_n_mm = (1.0 - WARNED_SHARE) * self._slow_n_mm, (1.0 + WARNED_SHARE) * self._stiffness
         self._unchecked = unchecked(settings)
         self.passed = False
-        self.fault = Fault.NONE  # of the newest tick of the check
+        self.seen = SignsSeen()
         self.slope_n_mm = math.nan
         self.begin(0.0, 0.0)
 
@@ -66,7 +67,7 @@ class SignCheck:
     def begin(self, stroke_mm: float, tension_n: float, speed_mm_s: float = 0.0) -> None:
         """A tensioning starts at this stroke and tension; ``speed_mm_s``: of a motion before it that is ending."""
         self._coasts_mm_s = speed_mm_s
-        self.probe_mm_s, self.words = 0.0, ""
+        self.probe_mm_s, self.seen.words = 0.0, ""
         self._travel_mm, self._span_mm = TRAVEL_MM, max(SLOPE_N / self._stiffness, SLOPE_MM)
         self._last_look = False
         self._start_mm, self._start_n = stroke_mm, tension_n
@@ -86,8 +87,9 @@ class SignCheck:
 
     def see(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         """One tick, with the command that acts in it, stroke and tension; returns the fault, or NONE."""
-        self.fault = self._judge(command_mm_s, stroke_mm, tension_n)
-        return self.fault
+        seen, fault = self.seen, self._judge(command_mm_s, stroke_mm, tension_n)
+        seen.drive_reversed, seen.cell_reversed = fault is Fault.SIGN_DRIVE, fault is Fault.SIGN_CELL
+        return fault
 
     def _judge(self, command_mm_s: float, stroke_mm: float, tension_n: float) -> Fault:
         self._speed_mm_s += (command_mm_s - self._speed_mm_s) * self._share
@@ -131,7 +133,7 @@ class SignCheck:
         if near and not self._last_look:
             self._span_mm, self._last_look = AGAIN * self._span_mm, True
             return False
-        self.words = f"{self.slope_n_mm:z.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
+        self.seen.words = f"{self.slope_n_mm:z.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
         return True
 
 

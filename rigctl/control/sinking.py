@@ -6,6 +6,7 @@ import math
 from collections import deque
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import SinkingSeen
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.snapshot import Snapshot
 
@@ -21,11 +22,7 @@ AGREES_MM, AGREES_SHARE = 0.3, 0.3
 
 
 class Sinking:
-    """Call ``look`` every tick. The stroke's figures are 0 unless the brake alone has the load.
-
-    ``speed_mm_s``: of the stroke, negative: the load sinks. ``apart_mm``: its motion in the last 5 s less that of the
-    tension by stiffness, beyond what both may be wrong. ``left_mm``: how far it may sink until the rope is slack.
-    """
+    """Call ``look`` every tick. ``seen``: the stroke's figures are 0 unless the brake alone has the load."""
 
     def __init__(self, settings: RigSettings, rope: RopeMemory) -> None:
         plant = settings.plant
@@ -36,27 +33,28 @@ class Sinking:
         self._sum_mm = self._sum_n = 0.0
         self._count, self._next_ns = 0, 0
         self._last_mm = math.nan
-        self.left_mm = 0.0
-        self.forget()
+        self.seen = SinkingSeen()
 
     def forget(self) -> None:
         """Begin anew: what was before is acknowledged."""
-        self.speed_mm_s = self.apart_mm = 0.0
         self._steps.clear()
         self._count = 0
 
     def look(self, now_ns: int, snapshot: Snapshot) -> None:
         """One tick."""
-        tension_n = snapshot.tension_n
+        tension_n, seen = snapshot.tension_n, self.seen
         if tension_n < self._slack_n and self._rope.slack_in_doubt(snapshot):
             tension_n = self._rope.by_stroke_n(snapshot.stroke_mm)
-        self.left_mm = max(0.0, tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
+        seen.left_mm = max(0.0, tension_n - self._slack_n) / self._stiffness  # 0 for an unknown tension
         jumped = abs(snapshot.stroke_mm - self._last_mm) > JUMP_MM  # False for NaN
         self._last_mm = snapshot.stroke_mm
         unknown = jumped or not math.isfinite(snapshot.stroke_mm + snapshot.tension_n)
-        if unknown or not snapshot.power.stopped_and_closed:
-            if self._steps or self._count:
-                self.forget()
+        alone = snapshot.power.stopped_and_closed and not unknown
+        if not alone and (self._steps or self._count):
+            self.forget()
+        if not self._steps:
+            seen.speed_mm_s = seen.apart_mm = 0.0
+        if not alone:
             return
         if not self._count:
             self._sum_mm = self._sum_n = 0.0
@@ -73,10 +71,11 @@ class Sinking:
 
     def _judge(self) -> None:
         (_, then_mm, then_n), (_, now_mm, now_n) = self._steps[0], self._steps[-1]
+        seen = self.seen
         moved_mm = now_mm - then_mm
         stretch_mm = (now_n - then_n) / self._stiffness if now_n > self._slack_n else moved_mm
-        self.apart_mm = max(0.0, abs(moved_mm - stretch_mm) - AGREES_SHARE * abs(moved_mm) - AGREES_MM)
-        self.speed_mm_s = self._speed_mm_s(min(LATEST, len(self._steps) - 1)) or self._speed_mm_s(len(self._steps) - 1)
+        seen.apart_mm = max(0.0, abs(moved_mm - stretch_mm) - AGREES_SHARE * abs(moved_mm) - AGREES_MM)
+        seen.speed_mm_s = self._speed_mm_s(min(LATEST, len(self._steps) - 1)) or self._speed_mm_s(len(self._steps) - 1)
 
     def _speed_mm_s(self, steps: int) -> float:
         """Over so many steps, 0 for a stroke at rest."""

@@ -10,6 +10,17 @@ from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
+from rigctl.control.findings import (
+    DriveStatusSeen,
+    HeldTensionSeen,
+    PlausibilitySeen,
+    ProbeSeen,
+    ReadbackSeen,
+    SignsSeen,
+    SinkingSeen,
+    StrokeHoldSeen,
+    TakeUpSeen,
+)
 from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
 
@@ -27,7 +38,8 @@ class EStop(IntFlag):
 class Snapshot:
     """Values of one tick, ages in ns, quality bits (0 good), counters.
 
-    `rigctl.control.observer.Observer` alone assigns them, each in one place; the rest of the tick reads them.
+    `rigctl.control.observer.Observer` alone assigns them, each in one place; the rest of the tick reads them. A group
+    of findings is its detector's own, see `rigctl.control.findings`.
     """
 
     t_ns: int = 0
@@ -49,9 +61,7 @@ class Snapshot:
     drive_off: bool = False  # no power, brake closed or closing
     power: PowerSeen = field(default_factory=PowerSeen)  # state, times and brake of the drive
     still_ns: int = 0  # time the stroke has stood still, see rigctl.control.power_seen
-    sink_mm_s: float = 0.0  # of the stroke on the closed brake; these three: see rigctl.control.sinking
-    sink_apart_mm: float = 0.0
-    sink_left_mm: float = 0.0
+    sinking: SinkingSeen = field(default_factory=SinkingSeen)
     drive_faulted: bool = False
     drive_warning: bool = False
     drive_local: bool = False  # statusword bit 9 is off: the drive takes no commands from the bus
@@ -65,16 +75,11 @@ class Snapshot:
     unseen_mm: float = 0.0  # most the stroke may have moved since the drive's newest sample
     heartbeats_t_ns: dict[int, int] = field(default_factory=dict)  # time of each node's newest heartbeat
     node_states: dict[int, int] = field(default_factory=dict)  # NMT state each node reported last
-    drive_temperature_c: float = math.nan
-    drive_current_a: float = math.nan
-    drive_current_flows: bool = False  # more than a motor without power has
-    drive_has_current: bool = False  # for so long that it has power, though it reports that it is off
+    drive_status: DriveStatusSeen = field(default_factory=DriveStatusSeen)
     e_stop: int = 0  # inputs that read as pressed, bits of EStop
-    e_stop_unseen: bool = False  # the drive has the input, but its state is stale
     io_age_ns: int = 1 << 62  # of the I/O node's inputs, where one is fitted
     torque_off: bool = False  # the drive's STO feedback at the I/O node shows it without torque, by a fresh input
     enable_ignored: bool = False  # that feedback is not as the drive's hard-wired enable should have it
-    status_age_ns: int = 1 << 62  # of the drive's current, temperature and inputs, where configured
     warmth_age_ns: int = 1 << 62  # of the cell's temperature, where it comes from the cell
     force_gap_n: float = 0.0  # second force path less cell, low-passed; where one is fitted, as the next three
     second_age_ns: int = 1 << 62
@@ -98,54 +103,28 @@ class Snapshot:
     rival_words: str = ""  # what that controller did
     stroke_unconfirmed: bool = False  # see rigctl.control.homed
     stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
-    unsupervised: int = 0  # objects of the drive that were found with another value
-    settings_lost: int = 0  # objects that changed or gave no answer, see rigctl.control.readback
-    disobeys: bool = False  # the drive cannot follow commands without one of them
-    settings_words: str = ""  # the first of them, in words
+    readback: ReadbackSeen = field(default_factory=ReadbackSeen)
     sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active
     drive_emergency: int = 0
-    drive_reversed: bool = False  # see rigctl.control.signs
-    cell_reversed: bool = False
-    slope_words: str = ""
+    signs: SignsSeen = field(default_factory=SignsSeen)
     rejects: int = 0
     slope_rejects: int = 0
     cell_nis: float = 0.0
     vertical_error_n: float = 0.0  # from the set-point on its ramp, 0 without a set-point
     disturbance_mm_s: float = 0.0
-    runaway_mm_s: float = 0.0
-    speed_error_mm_s: float = 0.0  # these four and the last three: see rigctl.control.plausibility
-    stroke_error_mm: float = 0.0
-    contradiction_mm: float = 0.0
-    unexplained_mm: float = 0.0
-    excursion_mm: float = 0.0  # with corrected_mm: see rigctl.control.stroke_hold
-    corrected_mm: float = 0.0
-    stretched_mm: float = 0.0  # these four: see rigctl.control.held_tension
-    growing_mm: float = 0.0
-    fallen_n: float = 0.0
-    sinks_n: float = 0.0
-    cell_repeats: int = 0
-    cell_unrest_n: float = 0.0
-    cell_step_n: float = 0.0  # see rigctl.control.cell_step
-    tension_rate_n_s: float = 0.0
-    cell_frozen: bool = False  # these four and their words: see rigctl.control.sensor_probe
-    encoder_stuck: bool = False
-    drive_motionless: bool = False
-    rope_changed: bool = False
-    probe_words: str = ""
-    unseen_n: float = 0.0  # these three: see rigctl.control.unseen_travel
-    unseen_bound_n: float = 0.0
-    unseen_excess_n: float = 0.0
-    taken_up_n: float = 0.0  # these four: see rigctl.control.take_up
-    taken_up_shown_n: float = 0.0
-    taken_up_limit_n: float = 0.0
-    taken_up_excess_n: float = 0.0
+    plausibility: PlausibilitySeen = field(default_factory=PlausibilitySeen)
+    stroke_hold: StrokeHoldSeen = field(default_factory=StrokeHoldSeen)
+    held_tension: HeldTensionSeen = field(default_factory=HeldTensionSeen)
+    probe: ProbeSeen = field(default_factory=ProbeSeen)
+    take_up: TakeUpSeen = field(default_factory=TakeUpSeen)
     least_peak: float = 0.0  # measured sensitivity peak less its uncertainty, 0 without one
 
 
 def reader(fields: Collection[str]) -> Callable[[Snapshot], tuple[Any, ...]]:
-    """Function that reads all these fields off a snapshot, in one call."""
+    """Function that reads all these fields off a snapshot, in one call; ``power.off_ns`` is a field of a group."""
     if len(fields) < 2:  # then attrgetter gives no tuple
-        return lambda snapshot: tuple([getattr(snapshot, name) for name in fields])
+        reads = [attrgetter(name) for name in fields]
+        return lambda snapshot: tuple([read(snapshot) for read in reads])
     return attrgetter(*fields)
 
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import StrokeHoldSeen
 from rigctl.control.plausibility import STROKE_MEMORY_S
 from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM
 from rigctl.control.snapshot import Snapshot
@@ -32,9 +33,8 @@ REST_MM_S, SPARE_MM = 0.05, 0.05
 class StrokeHold:
     """The latch and its position loop. Call ``watch`` every tick, then ``correct``; ``follow`` while the stroke moves.
 
-    ``error_mm``: stroke from the latch, 0 while nothing is latched. ``left``: this tick the stroke left the latch by
-    `SAID_MM`; ``creeps``: the correction has now been needed for `CREEP_S`. Both are true once per excursion.
-    ``corrected_mm``: sum of the correction since the latch.
+    ``left``: this tick the stroke left the latch by `SAID_MM`; ``creeps``: the correction has now been needed for
+    `CREEP_S`. Both are true once per excursion.
     """
 
     def __init__(self, settings: RigSettings) -> None:
@@ -47,16 +47,20 @@ class StrokeHold:
         self._authority = min(AUTHORITY_MM_S, self._speed_max)
         self._stop_s, self._settle_s = STOP_LAGS * lag_s, SETTLE_LAGS * lag_s
         self._deceleration = min(tension.acceleration_max_mm_s2, settings.cylinder.stop_deceleration_mm_s2)
-        self._forget()
+        self.seen = StrokeHoldSeen()
+        self.latch_anew()
 
     def follow(self) -> None:
-        """The stroke moves on purpose, or its motion is acknowledged: the next ``watch`` latches it anew."""
+        """One tick in which the stroke moves on purpose."""
+        seen = self.seen
+        seen.excursion_mm = seen.corrected_mm = 0.0
         if self._settles_ns is not None:
-            self._forget()
+            self.latch_anew()
 
-    def _forget(self) -> None:
+    def latch_anew(self) -> None:
+        """The motor has taken the load, or a motion is acknowledged; ``seen`` shows it from the next tick on."""
         self.reference_mm = math.nan
-        self.error_mm = self.corrected_mm = self.command_mm_s = 0.0
+        self._error_mm = self._corrected_mm = self.command_mm_s = 0.0
         self.left = self.creeps = False
         self._reported = self._creep_reported = self._doubted = False
         self._settles_ns: int | None = None
@@ -70,7 +74,8 @@ class StrokeHold:
         back, and a drive that does not stop does not take the latch along.
         """
         self.left = False
-        stroke_mm = snapshot.stroke_mm
+        stroke_mm, seen = snapshot.stroke_mm, self.seen
+        seen.excursion_mm, seen.corrected_mm = self._error_mm, self._corrected_mm
         if not math.isfinite(stroke_mm):
             return
         if not math.isfinite(self.reference_mm):
@@ -79,11 +84,11 @@ class StrokeHold:
             if self._settles_ns is None or t_ns < self._settles_ns:
                 return
             self.reference_mm = max(self._low_mm, min(self._high_mm, stroke_mm))
-        self.error_mm = stroke_mm - self.reference_mm
-        distance_mm = abs(self.error_mm)
+        self._error_mm = seen.excursion_mm = stroke_mm - self.reference_mm
+        distance_mm = abs(seen.excursion_mm)
         self.left = distance_mm > SAID_MM and not self._reported
         self._reported = distance_mm > SAID_MM or (self._reported and distance_mm > OVER_MM)
-        self._doubted |= abs(snapshot.contradiction_mm) > CONTRADICTION_MM
+        self._doubted |= abs(snapshot.plausibility.contradiction_mm) > CONTRADICTION_MM
 
     def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:
         """Speed in mm/s that brings the stroke back to the latch; 0 where its position is unknown or doubted.
@@ -100,7 +105,7 @@ class StrokeHold:
         if not (known and powered):
             self.command_mm_s = 0.0
             return 0.0
-        passed_s, error_mm = ticks * self._dt, self.error_mm
+        passed_s, error_mm = ticks * self._dt, self._error_mm
         error_mm -= max(-DEAD_ZONE_MM, min(DEAD_ZONE_MM, error_mm))
         wanted = -self._gain * error_mm - self._integral_mm_s
         self.command_mm_s = max(-self._authority, min(self._authority, wanted))
@@ -111,7 +116,7 @@ class StrokeHold:
         self._creeps_s = self._creeps_s + passed_s if abs(self._integral_mm_s) > CREEP_MM_S else 0.0
         self.creeps = self._creeps_s > CREEP_S and not self._creep_reported
         self._creep_reported |= self.creeps
-        self.corrected_mm += self.command_mm_s * passed_s
+        self._corrected_mm += self.command_mm_s * passed_s
         return self.command_mm_s
 
     @property

@@ -57,7 +57,7 @@ class StrokeMotion:
         for change in changes:
             self._orders.look_again()
             if change.before is Mode.FAULT:
-                self._load.follow()
+                self._load.latch_anew()
                 self._observer.forget_sinking()
             if change.after is Mode.COMPENSATING:
                 self.travel_from = estimate.stroke_mm, law.setpoint_n

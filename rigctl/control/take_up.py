@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import TakeUpSeen
 from rigctl.control.signs import WARNED_SHARE, unchecked
 
 SHARE = 0.05  # of the target: 10 % less two status periods of the ramp, the stop, and the resolution of the current
@@ -26,10 +27,7 @@ PERIODS = 2.0  # of the drive's status, until the rope's force is read twice: as
 
 
 class TakeUp:
-    """``excess_n``: rope force by the motor's current beyond the limit, negative within it, 0 until it is known.
-
-    ``rise_n``, ``shown_n`` and ``limit_n``: rise of that force, that of the tension, and the limit of the difference.
-    """
+    """Call ``look`` every tick; ``seen``: what the current shows of the rope's force."""
 
     def __init__(self, settings: RigSettings) -> None:
         tension = settings.tension
@@ -39,11 +37,17 @@ class TakeUp:
         self._least_mm_s = UPWARD * min(tension.speed_max_mm_s, ramp_mm_s)
         self._steady_s, self._speed_mm_s, self._age_ns = 0.0, 0.0, 0
         self._slack, self._tensioning = True, False
-        self.forget()
+        self._corrected = False
+        self.seen = TakeUpSeen()
+        self._begin_anew()
 
     def forget(self) -> None:
-        """The cell has been corrected: nothing read before counts."""
-        self.rise_n = self.shown_n = self.limit_n = self.excess_n = 0.0
+        """The cell has been corrected: nothing read before counts, from the next tick on."""
+        self._corrected = True
+
+    def _begin_anew(self) -> None:
+        seen = self.seen
+        seen.rise_n = seen.shown_n = seen.limit_n = seen.excess_n = 0.0
         self._lowest_a, self._from_n = math.inf, 0.0
 
     def look(
@@ -51,18 +55,22 @@ class TakeUp:
         slack: bool, tensioning: bool,
     ) -> None:  # fmt: skip
         """One tick; ``current_a``: newest of the motor, of ``age_ns``, NaN if not known; ``slack``: by the cell."""
+        seen = self.seen
+        if self._corrected:
+            self._corrected = False
+            self._begin_anew()
         begins, was_slack, fresh = tensioning and not self._tensioning, self._slack, age_ns < self._age_ns
         self._tensioning, self._slack, self._age_ns = tensioning, slack, age_ns
         if slack:
             steady = tensioning and command_mm_s == self._speed_mm_s != 0.0
             if not was_slack:
-                self.forget()
+                self._begin_anew()
         else:
             steady = tensioning and command_mm_s >= self._least_mm_s
             if was_slack:
-                self.excess_n = 0.0
-            elif begins and self.excess_n <= 0.0:
-                self.forget()
+                seen.excess_n = 0.0
+            elif begins and seen.excess_n <= 0.0:
+                self._begin_anew()
         self._speed_mm_s = command_mm_s
         self._steady_s = self._steady_s + self._period_s if steady else 0.0
         # A tension that rises is compared when its current is new.
@@ -70,12 +78,12 @@ class TakeUp:
             return
         if current_a < self._lowest_a and (slack or self._lowest_a == math.inf):
             self._lowest_a, self._from_n = current_a, tension_n
-        self.rise_n = (current_a - self._lowest_a) * self._n_per_a
-        self.limit_n = limit_n(self._slack_n, target_n)
+        seen.rise_n = (current_a - self._lowest_a) * self._n_per_a
+        seen.limit_n = limit_n(self._slack_n, target_n)
         if not slack:
-            self.shown_n = tension_n - self._from_n
-            self.limit_n += FACTOR_SHARE * max(0.0, self.rise_n)
-        self.excess_n = self.rise_n - self.shown_n - self.limit_n
+            seen.shown_n = tension_n - self._from_n
+            seen.limit_n += FACTOR_SHARE * max(0.0, seen.rise_n)
+        seen.excess_n = seen.rise_n - seen.shown_n - seen.limit_n
 
 
 def limit_n(slack_n: float, target_n: float) -> float:

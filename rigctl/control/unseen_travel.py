@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import deque
 
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import TravelSeen
 
 MOST_SHARE = 0.1  # of the rope's set-point: what a frozen cell may do unseen
 SHARE = 0.09  # at which it trips: the rest is for persistence, stop and an error of the stiffness
@@ -25,7 +26,7 @@ TOLERANCE = 0.2  # of a change of tension: the stiffness may be off by so much, 
 
 
 class UnseenTravel:
-    """``unseen_n`` against ``bound_n``, of the two that is nearer to it; ``excess_n``: beyond it, negative within."""
+    """Call ``look`` in every tick in which the travel is bounded, else ``end``."""
 
     def __init__(self, settings: RigSettings, detection_s: float, step_s: float) -> None:
         """``detection_s``: of a frozen cell; ``step_s``: between two judgements of the probe."""
@@ -35,12 +36,14 @@ class UnseenTravel:
         self._heave_mm = (safety.heave_mm or 0.0) + LATCH_MM
         self._in_time_mm = frozen_mm(settings, detection_s) + LATCH_MM
         self._stop_s = plant.cylinder_lag_s + plant.command_delay_s + STOP_S
+        self.seen = TravelSeen()
         self._before = max(1, round(detection_s / step_s))  # judgements
         self.end()
 
     def end(self) -> None:
         """Nothing is watched: the stroke may go anywhere."""
-        self.excess_n = self.unseen_n = self.bound_n = 0.0
+        seen = self.seen
+        seen.excess_n = seen.unseen_n = seen.bound_n = 0.0
         self._from: tuple[float, float] | None = None
         self._known: deque[float] = deque(maxlen=self._before)
 
@@ -48,7 +51,7 @@ class UnseenTravel:
         self, stroke_mm: float, speed_mm_s: float, tension_n: float, cosine: float, setpoint_n: float, *, judged: bool
     ) -> None:
         """One tick; ``judged``: the probe has just found the cell to answer."""
-        stretch_mm = stroke_mm + self._length_mm / cosine
+        seen, stretch_mm = self.seen, stroke_mm + self._length_mm / cosine
         if self._from is None:
             self._from = stretch_mm, tension_n
             self._known.append(0.0)
@@ -63,10 +66,10 @@ class UnseenTravel:
         whole_bound_n = max(bound_n, self.stiffness_n_mm * self._heave_mm)
         lately_bound_n = max(bound_n, self.stiffness_n_mm * self._in_time_mm)
         if whole_n - whole_bound_n > lately_n - lately_bound_n:
-            self.unseen_n, self.bound_n = whole_n, whole_bound_n
+            seen.unseen_n, seen.bound_n = whole_n, whole_bound_n
         else:
-            self.unseen_n, self.bound_n = lately_n, lately_bound_n
-        self.excess_n = self.unseen_n - self.bound_n
+            seen.unseen_n, seen.bound_n = lately_n, lately_bound_n
+        seen.excess_n = seen.unseen_n - seen.bound_n
 
     def found_stiffness(self, n_mm: float) -> None:
         """Take a rope or mechanism that gives way by more than the tolerance, as the sign check found it."""

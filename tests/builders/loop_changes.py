@@ -52,7 +52,7 @@ def doubt_stroke(rig: Lockstep, *, doubted: bool = True) -> None:
 
 def leave_unexplained(rig: Lockstep, stretch_mm: float) -> None:
     """So much of the rope's stretch is explained by no motion."""
-    rig.loop.observer._plausibility.unexplained_mm = stretch_mm
+    rig.loop.observer._plausibility.seen.unexplained_mm = stretch_mm
 
 
 def change_run_out(rig: Lockstep, slopes_mm_rad: Sequence[float]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rigctl.config.settings import RigSettings
 from tests.bench.calls import calls_a_tick, of_loop
 
-OF_LOOP, OF_ALL = 143, 313
+OF_LOOP, OF_ALL = 142, 312
 """In control, ipc and devices; with the simulated rig. A commit that makes a tick cheaper lowers them."""
 
 

@@ -16,10 +16,10 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
+from rigctl.control.drive_status import CURRENT_NS
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
-from rigctl.control.observer import CURRENT_NS
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable
-from dataclasses import replace
 
 import pytest
 
@@ -29,6 +28,7 @@ from rigctl.control.held_tension import (
     stretch_limit_mm,
 )
 from rigctl.control.snapshot import Snapshot
+from tests.builders import snapshots
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -63,7 +63,7 @@ class Held:
             self.snapshot.tension_n, self.snapshot.stroke_mm = tension(n * dt), stroke(n * dt)
             self.subject.watch(self.snapshot, TICKS, latched=True)
             for name, (limit, persistence_ns) in self.rows.items():
-                value = abs(getattr(self.subject, name))
+                value = abs(getattr(self.subject.seen, name))
                 self.largest = max(self.largest, value)
                 self.beyond_s[name] = self.beyond_s[name] + dt if value > limit else 0.0
                 if self.beyond_s[name] > persistence_ns * S:
@@ -121,14 +121,14 @@ def test_a_flexible_mechanism_gives_way_with_the_stroke_and_its_bounce_after_a_s
     assert not Held(soft, motor=True).run(5.0, lambda t: 300.0 + K * amplitude_mm * math.cos(omega * t)).trips
 
 
-@pytest.mark.parametrize("lost", [{"cell_heard": False}, {"cell_quality": 1}, {"cell_repeats": 100}])
+@pytest.mark.parametrize("lost", [{"cell_heard": False}, {"cell_quality": 1}, {"plausibility.cell_repeats": 100}])
 @pytest.mark.parametrize("motor", [True, False])
 def test_an_unknown_cell_says_nothing_and_is_compared_with_the_latch_once_it_is_back(
     lost: dict[str, int], motor: bool
 ) -> None:
     held = Held(motor=motor).run(2.0, lambda _t: 300.0)
     known = held.snapshot
-    held.snapshot = replace(known, **lost)  # type: ignore[arg-type]
+    held.snapshot = snapshots.changed(known, lost)
     held.run(5.0, lambda _t: 0.0)
     assert held.largest == 0.0
     held.snapshot = known
@@ -159,7 +159,7 @@ def test_a_load_that_sinks_is_seen_within_the_promise(speed: float, spring: floa
 def test_between_two_speeds_a_fall_is_that_of_a_load_that_sinks(speed: float, sinks: bool) -> None:
     held = Held(motor=False).run(5.0, lambda _t: 300.0)
     held.run(2.0, lambda t: 300.0 - K * speed * t)
-    assert (held.subject.sinks_n > 0.0) == sinks
+    assert (held.subject.seen.sinks_n > 0.0) == sinks
 
 
 def test_what_slips_in_jerks_is_seen_too() -> None:
@@ -173,7 +173,7 @@ def test_the_reference_of_the_motor_goes_on_as_that_of_the_brake() -> None:
     held.snapshot.drive_enabled = False
     assert held.run(12.0, lambda _t: 290.0).trips
     held.subject.follow()
-    assert held.run(20.0, lambda _t: 290.0).subject.fallen_n == 0.0, "acknowledged"
+    assert held.run(20.0, lambda _t: 290.0).subject.seen.fallen_n == 0.0, "acknowledged"
 
 
 def test_a_load_that_was_added_is_the_reference_once_it_has_lasted() -> None:

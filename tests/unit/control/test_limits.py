@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any, get_args
 
 import pytest
@@ -15,17 +14,19 @@ from rigctl.config.signals import WATCHED
 from rigctl.control import limits
 from rigctl.control.events import fault_text
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row
 from rigctl.control.snapshot import Snapshot
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
 MS = 1_000_000
 SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "tension_n": ({"tension_n": 290.0}, 290.0),
-    "tension_rate_n_s": ({"tension_rate_n_s": -50.0}, 50.0),
+    "tension_rate_n_s": ({"plausibility.tension_rate_n_s": -50.0}, 50.0),
     "vertical_error_n": ({"vertical_error_n": -2.0}, 2.0),
     "tangential_deg": ({"tangential_rad": math.radians(-3.0)}, -3.0),
     "normal_deg": ({"normal_rad": math.radians(4.0)}, 4.0),
@@ -33,8 +34,8 @@ SEEN: dict[str, tuple[dict[str, Any], float]] = {
     "travel_mm": ({"travel_mm": -11.0}, 11.0),
     "speed_mm_s": ({"speed_mm_s": -1.5}, -1.5),
     "disturbance_mm_s": ({"disturbance_mm_s": -2.5}, 2.5),
-    "drive_temperature_c": ({"drive_temperature_c": 41.0}, 41.0),
-    "drive_current_a": ({"drive_current_a": -3.0}, 3.0),
+    "drive_temperature_c": ({"drive_status.temperature_c": 41.0}, 41.0),
+    "drive_current_a": ({"drive_status.current_a": -3.0}, 3.0),
     "drive_warning": ({"drive_warning": True}, 1.0),
     "cell_age_ms": ({"cell_age_ns": 3 * MS}, 3.0),
     "inclination_age_ms": ({"inclination_age_ns": 12 * MS}, 12.0),
@@ -61,7 +62,7 @@ def test_every_signal_has_a_name_a_meaning_and_a_way_to_read_it() -> None:
 @pytest.mark.parametrize("signal", WATCHED)
 def test_a_signal_is_what_its_name_says(signal: str) -> None:
     seen, value = SEEN[signal]
-    assert limits.value_of(WATCHED[signal])(replace(Snapshot(), **seen)) == pytest.approx(value)
+    assert limits.value_of(WATCHED[signal])(changed(Snapshot(), seen)) == pytest.approx(value)
 
 
 def test_each_bound_is_a_row_of_its_own_that_shows_value_and_limit_as_they_are() -> None:
@@ -85,8 +86,9 @@ def test_a_limit_on_a_signal_that_does_not_come_is_a_fault_of_its_own(action: st
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action=action)
     assert (unseen.fault, unseen.action, unseen.persistence_ns) == (Fault.LIMIT_UNSEEN, Action.HOLD, 0)
     assert unseen.text == "drive temperature (drive_temperature_c)"
-    assert not unseen.value(Snapshot(status_age_ns=250 * MS)) > unseen.limit  # five periods of 50 ms
-    assert unseen.value(Snapshot(status_age_ns=251 * MS)) > unseen.limit
+    five_periods = DriveStatusSeen(age_ns=250 * MS)
+    assert not unseen.value(Snapshot(drive_status=five_periods)) > unseen.limit
+    assert unseen.value(Snapshot(drive_status=DriveStatusSeen(age_ns=251 * MS))) > unseen.limit
     worded = fault_text(unseen.fault, 251 * MS, unseen.limit, unseen.text)
     assert worded == (
         "drive temperature (drive_temperature_c) is limited by the rig file and does not come: no sample for 251 ms "
@@ -98,7 +100,7 @@ def test_a_limit_that_is_only_logged_says_that_its_signal_does_not_come() -> Non
     _, unseen = rows(signal="drive_temperature_c", high=70.0, action="log")
     assert (unseen.fault, unseen.action, unseen.limit) == (Fault.LIMIT, Action.LOG, 250.0)
     assert unseen.text == "age in ms of drive temperature (drive_temperature_c) above"
-    assert unseen.value(Snapshot(status_age_ns=251 * MS)) == 251.0
+    assert unseen.value(Snapshot(drive_status=DriveStatusSeen(age_ns=251 * MS))) == 251.0
 
 
 def test_in_the_armed_modes_the_built_in_rows_watch_the_others_and_in_disarmed_this_one() -> None:
@@ -134,13 +136,13 @@ def test_a_rate_starts_anew_after_a_pause_and_knows_nothing_of_what_is_not_a_num
 def test_a_limit_trips_with_its_own_action_and_words() -> None:
     watch = WatchLog(SETTINGS, rows(signal="drive_temperature_c", high=85.0, action="ramp_down"))
     good = Snapshot(tension_n=300.0, stroke_mm=50.0, cell_age_ns=0, inclination_age_ns=0, drive_age_ns=0, bus_age_ns=0,
-        status_age_ns=0)  # fmt: skip
-    assert watch.trips(replace(good, drive_temperature_c=85.0), Mode.HOLD, 0) is None
-    trip = watch.trips(replace(good, drive_temperature_c=86.0), Mode.HOLD, MS)
+        drive_status=DriveStatusSeen(age_ns=0))  # fmt: skip
+    assert watch.trips(changed(good, {"drive_status.temperature_c": 85.0}), Mode.HOLD, 0) is None
+    trip = watch.trips(changed(good, {"drive_status.temperature_c": 86.0}), Mode.HOLD, MS)
     assert trip is not None
     assert (trip.fault, trip.action, trip.text) == (Fault.LIMIT, Action.RAMP_DOWN, "drive_temperature_c above")
     assert (trip.value, trip.limit) == (86.0, 85.0)
-    assert watch.trips(replace(good, drive_temperature_c=86.0), Mode.COMPENSATING, 2 * MS) is None
+    assert watch.trips(changed(good, {"drive_status.temperature_c": 86.0}), Mode.COMPENSATING, 2 * MS) is None
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.faults import Fault, bits_of
+from rigctl.control.findings import HeldTensionSeen
 from rigctl.control.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
 from rigctl.control.modes import LoadAtRest
 from rigctl.control.snapshot import Snapshot
@@ -30,7 +31,7 @@ class Load:
             snapshot = Snapshot(
                 t_ns=self._t_ns,
                 tension_n=tension_n,
-                sinks_n=sinks_n,
+                held_tension=HeldTensionSeen(sinks_n=sinks_n),
                 still_ns=REST_NS,
                 cell_heard=True,
                 drive_heard=True,

@@ -16,6 +16,13 @@ RATE = PAPER.loop.rate_hz
 NOTHING_MOVES = Snapshot(tension_n=300.0, stroke_mm=50.0)
 
 
+def shown(probe: LoopProbe) -> tuple[bool, ...]:
+    """What the rows read after the next look."""
+    probe.look(NOTHING_MOVES, 1.0, 300.0, ramping=False, compensating=True)
+    seen = probe.seen
+    return seen.cell_frozen, seen.encoder_stuck, seen.drive_motionless, seen.rope_changed
+
+
 def test_what_was_found_ends_with_the_multisine_and_is_found_anew() -> None:
     planned = plan(PAPER, design(PAPER))
     probe = LoopProbe(PAPER, planned, 1e-5)
@@ -27,5 +34,7 @@ def test_what_was_found_ends_with_the_multisine_and_is_found_anew() -> None:
             if probe.found is not ProbeFinding.NONE:
                 break
         assert probe.found is ProbeFinding.DRIVE_MOTIONLESS
+        assert shown(probe) == (False, False, True, False)
         assert probe.speed_mm_s(NOTHING_MOVES, 0.0, 1, free=False) == 0.0
         assert probe.found is ProbeFinding.NONE
+        assert shown(probe) == (False, False, False, False)

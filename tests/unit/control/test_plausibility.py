@@ -12,6 +12,7 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
+from rigctl.control.findings import PlausibilitySeen
 from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
 from tests.builders import inboxes
@@ -38,7 +39,7 @@ class Stand:
     def run(
         self, seconds: float, tension: Signal, stroke: Signal = lambda _: 50.0, speed: Signal = lambda _: 0.0,
         command: Signal = lambda _: 0.0, *, slack: bool = False, fresh: Callable[[int], bool] = lambda _: True,
-    ) -> list[Plausibility]:  # fmt: skip
+    ) -> list[PlausibilitySeen]:  # fmt: skip
         inbox, seen = self.inbox, []
         for n in range(round(seconds / DT)):
             t = n * DT
@@ -47,7 +48,7 @@ class Stand:
                 inbox.cell.reading_n = inbox.cell.tension_n = tension(t) + next(DITHER)
                 inbox.drive.stroke_mm, inbox.drive.speed_mm_s = stroke(t), speed(t)
             self.look(command(t - DT), slack=slack)
-            seen.append(copy.copy(self.subject))
+            seen.append(copy.copy(self.subject.seen))
         return seen
 
     def look(self, command_mm_s: float, ticks: int = 1, *, slack: bool = False) -> None:
@@ -56,7 +57,7 @@ class Stand:
         )
 
 
-def runaway_mm_s(seen: list[Plausibility]) -> float:
+def runaway_mm_s(seen: list[PlausibilitySeen]) -> float:
     return max(one.runaway_mm_s for one in seen)
 
 
@@ -138,9 +139,9 @@ def test_tension_that_no_stroke_explains_is_counted_as_stretch_and_forgotten() -
     later = stand.run(STRETCH_MEMORY_S, lambda _t: 240.0)
     assert later[-1].unexplained_mm == pytest.approx(-60.0 / K * math.exp(-0.4 / STRETCH_MEMORY_S - 1), rel=0.02)
     for held in (Mode.HOLD, Mode.FAULT, Mode.DISARMED):
-        stand.mode, stand.subject.unexplained_mm = held, 5.0
+        stand.mode, stand.subject.seen.unexplained_mm = held, 5.0
         stand.run(DT, lambda _t: 240.0)
-        assert stand.subject.unexplained_mm == 0.0, "of a held stroke the stretch is latched instead"
+        assert stand.subject.seen.unexplained_mm == 0.0, "of a held stroke the stretch is latched instead"
 
 
 def test_stroke_that_the_tension_does_not_show_is_counted_too_but_not_on_a_slack_rope() -> None:
@@ -179,7 +180,7 @@ def test_equal_samples_in_a_row_are_counted_and_one_other_ends_it() -> None:
         stand.inbox.cell_fresh, stand.inbox.drive_fresh = True, False
         stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = value
         stand.look(0.0)
-        counts.append(stand.subject.cell_repeats)
+        counts.append(stand.subject.seen.cell_repeats)
     assert counts == [*range(25), 0, 1, 2, 3]
 
 
@@ -205,8 +206,8 @@ def test_ticks_that_were_skipped_are_caught_up() -> None:
         stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = follow(stroke)(t) + next(DITHER)
         stand.inbox.drive.stroke_mm, stand.inbox.drive.speed_mm_s = stroke(t), speed(t)
         stand.look(command(t - DT), 3)
-        assert stand.subject.speed_error_mm_s < 1.6
-        assert abs(stand.subject.stroke_error_mm) < 0.1
+        assert stand.subject.seen.speed_error_mm_s < 1.6
+        assert abs(stand.subject.seen.stroke_error_mm) < 0.1
 
 
 @pytest.mark.parametrize("late", [0, 2])
@@ -225,8 +226,8 @@ def test_a_loop_that_was_stopped_does_not_blame_the_drive_that_went_on(at: int, 
             stand.inbox.cell.reading_n = stand.inbox.cell.tension_n = follow(stroke)(n * DT) + next(DITHER)
             stand.inbox.drive.stroke_mm, stand.inbox.drive.speed_mm_s = stroke(n * DT), speed(n * DT)
         stand.look(command((n - 1) * DT), ticks)
-        assert abs(stand.subject.stroke_error_mm) < 0.05
-        assert silent > 0 or stand.subject.speed_error_mm_s < 0.6
+        assert abs(stand.subject.seen.stroke_error_mm) < 0.05
+        assert silent > 0 or stand.subject.seen.speed_error_mm_s < 0.6
 
 
 # -- a motor that the load turns -------------------------------------------------------------------------------------

@@ -16,11 +16,13 @@ from rigctl.control import limits
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row, preflight, table
 from rigctl.control.snapshot import EStop, FieldValue, Snapshot
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 SETTINGS = PAPER.model_copy(update={"io": IoSettings(e_stop_input=0, drive_enable_output=0, drive_off_input=1)})
@@ -39,8 +41,7 @@ GOOD = Snapshot(
     bus_age_ns=MS,
     drive_wanted=True,
     io_age_ns=MS,
-    status_age_ns=50 * MS,
-    drive_temperature_c=40.0,
+    drive_status=DriveStatusSeen(age_ns=50 * MS, temperature_c=40.0),
 )
 
 NODES = {"tension cell": 2, "inclinometer": 3, "I/O node": 6, "cylinder drive": 4}
@@ -53,27 +54,27 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.INCLINATION_STALE, "ns"): {"inclination_age_ns": 101 * MS},
     (Fault.DRIVE_FAULT, ""): {"drive_faulted": True},
     (Fault.DRIVE_NOT_FOLLOWING, ""): {"drive_enabled": False},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed grows"): {"runaway_mm_s": 2.6},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed grows"): {"plausibility.runaway_mm_s": 2.6},
     (Fault.DRIVE_NOT_FOLLOWING, "mm/s moves though off"): {"speed_mm_s": 0.51, "drive_off": True},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed"): {"speed_error_mm_s": 2.6},
-    (Fault.DRIVE_NOT_FOLLOWING, "mm position"): {"stroke_error_mm": -0.51},
-    (Fault.DRIVE_CONTRADICTS, "mm"): {"contradiction_mm": -0.31},
-    (Fault.STROKE_NOT_HELD, "mm"): {"excursion_mm": -0.91},
-    (Fault.POSITION_DRIFTS, "mm"): {"corrected_mm": -0.81},
-    (Fault.LOAD_SINKS, "N is falling"): {"sinks_n": 3.1},
-    (Fault.LOAD_SINKS, "N has fallen"): {"fallen_n": 3.1},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm/s speed"): {"plausibility.speed_error_mm_s": 2.6},
+    (Fault.DRIVE_NOT_FOLLOWING, "mm position"): {"plausibility.stroke_error_mm": -0.51},
+    (Fault.DRIVE_CONTRADICTS, "mm"): {"plausibility.contradiction_mm": -0.31},
+    (Fault.STROKE_NOT_HELD, "mm"): {"stroke_hold.excursion_mm": -0.91},
+    (Fault.POSITION_DRIFTS, "mm"): {"stroke_hold.corrected_mm": -0.81},
+    (Fault.LOAD_SINKS, "N is falling"): {"held_tension.sinks_n": 3.1},
+    (Fault.LOAD_SINKS, "N has fallen"): {"held_tension.fallen_n": 3.1},
     (Fault.STROKE_MOVES, "mm/s"): {"speed_mm_s": -0.51, "drive_off": True, "drive_wanted": False},
-    (Fault.STROKE_MOVES, "mm/s slowly"): {"sink_mm_s": -0.021, "sink_left_mm": 40.0},
-    (Fault.CELL_FROZEN, ""): {"cell_frozen": True},
-    (Fault.ENCODER_STUCK, ""): {"encoder_stuck": True},
-    (Fault.DRIVE_MOTIONLESS, ""): {"drive_motionless": True},
-    (Fault.ROPE_CHANGED, ""): {"rope_changed": True},
-    (Fault.LOAD_UNSEEN, "N"): {"unseen_excess_n": 0.1},
-    (Fault.LOAD_UNSEEN, "N by current"): {"taken_up_excess_n": 0.1},
-    (Fault.STRETCH_UNEXPLAINED, "mm"): {"unexplained_mm": -12.1},
-    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"stretched_mm": -0.81},
-    (Fault.STRETCH_UNEXPLAINED, "mm growing"): {"growing_mm": -0.61},
-    (Fault.CELL_NOISY, "N"): {"cell_unrest_n": 1.0},
+    (Fault.STROKE_MOVES, "mm/s slowly"): {"sinking.speed_mm_s": -0.021, "sinking.left_mm": 40.0},
+    (Fault.CELL_FROZEN, ""): {"probe.cell_frozen": True},
+    (Fault.ENCODER_STUCK, ""): {"probe.encoder_stuck": True},
+    (Fault.DRIVE_MOTIONLESS, ""): {"probe.drive_motionless": True},
+    (Fault.ROPE_CHANGED, ""): {"probe.rope_changed": True},
+    (Fault.LOAD_UNSEEN, "N"): {"probe.travel.excess_n": 0.1},
+    (Fault.LOAD_UNSEEN, "N by current"): {"take_up.excess_n": 0.1},
+    (Fault.STRETCH_UNEXPLAINED, "mm"): {"plausibility.unexplained_mm": -12.1},
+    (Fault.STRETCH_UNEXPLAINED, "mm at rest"): {"held_tension.stretched_mm": -0.81},
+    (Fault.STRETCH_UNEXPLAINED, "mm growing"): {"held_tension.growing_mm": -0.61},
+    (Fault.CELL_NOISY, "N"): {"plausibility.cell_unrest_n": 1.0},
     (Fault.CELL_NEGATIVE, "N"): {"tension_n": -15.1},
     (Fault.DRIVE_REFUSES, "it takes no commands from the bus (statusword bit 9, remote, is off)"): {
         "drive_local": True
@@ -93,20 +94,20 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
         (Fault.NODE_NOT_OPERATIONAL, f"NMT state {name} (node {node})"): {"node_states": {node: 127}}
         for name, node in NODES.items()
     },
-    (Fault.STATUS_STALE, "ns"): {"status_age_ns": 251 * MS},
+    (Fault.STATUS_STALE, "ns"): {"drive_status.age_ns": 251 * MS},
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
-    (Fault.CELL_STUCK, "samples"): {"cell_repeats": 20},
+    (Fault.CELL_STUCK, "samples"): {"plausibility.cell_repeats": 20},
     (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
-    (Fault.SUPERVISION_LOST, ""): {"settings_lost": 1},
-    (Fault.SUPERVISION_LOST, "commands"): {"disobeys": True},
-    (Fault.SUPERVISION_LOST, "drive"): {"unsupervised": 1},
+    (Fault.SUPERVISION_LOST, ""): {"readback.lost": 1},
+    (Fault.SUPERVISION_LOST, "commands"): {"readback.disobeys": True},
+    (Fault.SUPERVISION_LOST, "drive"): {"readback.unsupervised": 1},
     (Fault.SYNC_LOST, "ns"): {"sync_age_ns": 16 * MS},
     (Fault.STROKE_JUMPED, "mm"): {"stroke_jump_mm": 0.6},
     (Fault.E_STOP, ""): {"e_stop": True},
     (Fault.E_STOP_UNSEEN, "ns"): {"io_age_ns": 101 * MS},
     (Fault.ENABLE_IGNORED, ""): {"enable_ignored": True},
-    (Fault.INNOVATION, "N at once"): {"cell_step_n": 5.0},
+    (Fault.INNOVATION, "N at once"): {"plausibility.cell_step_n": 5.0},
     (Fault.INNOVATION, "slopes"): {"slope_rejects": 50},
     (Fault.CELL_INVALID, ""): {"cell_quality": 4},
     (Fault.INCLINATION_INVALID, ""): {"inclination_quality": 2},
@@ -114,8 +115,8 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.TENSION_LOW, "N"): {"tension_n": 19.9},
     (Fault.TENSION_LOW, "N of a load"): {"tension_n": 4.9, "rope_lost": True},
     (Fault.INNOVATION, "samples"): {"rejects": 20},
-    (Fault.SIGN_DRIVE, ""): {"drive_reversed": True},
-    (Fault.SIGN_CELL, ""): {"cell_reversed": True},
+    (Fault.SIGN_DRIVE, ""): {"signs.drive_reversed": True},
+    (Fault.SIGN_CELL, ""): {"signs.cell_reversed": True},
     (Fault.STROKE_END, ""): {"stroke_limited": True},
     (Fault.DEVICE_RESTARTED, ""): {"device_restarted": True},
     (Fault.OVERRUN, "ticks"): {"skipped_in_window": 50},
@@ -127,7 +128,7 @@ def named(row: Row) -> tuple[Fault, str]:
 
 
 def bad_for(row: Row) -> Snapshot:
-    return replace(GOOD, **BAD[named(row)])  # type: ignore[arg-type]
+    return changed(GOOD, BAD[named(row)])
 
 
 def test_the_table_covers_every_fault_a_tick_can_see() -> None:
@@ -207,12 +208,12 @@ def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -
         ({"stroke_mm": -18.1}, Check.STROKE_NEAR_END),
         ({"stroke_mm": 121.9}, Check.STROKE_NEAR_END),
         ({"stroke_mm": -22.1}, Check.STROKE_RANGE),
-        ({"e_stop_unseen": True}, Check.E_STOP_UNSEEN),
+        ({"drive_status.e_stop_unseen": True}, Check.E_STOP_UNSEEN),
     ],
 )
 def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
     assert preflight(GOOD, SETTINGS, set(), Check(0)) == Check(0)
-    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    snapshot = changed(GOOD, bad)
     assert preflight(snapshot, SETTINGS, set(), Check(0)) == check
     known = Check.DRIVE_SUPERVISION | Check.CALIBRATION | Check.DISK | Check.TARE
     assert preflight(snapshot, SETTINGS, set(), known) == check | known
@@ -241,15 +242,15 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 @pytest.mark.parametrize(
     ("bad", "check"),
     [
-        ({"cell_repeats": 20}, Check.CELL_IMPLAUSIBLE),
-        ({"cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
+        ({"plausibility.cell_repeats": 20}, Check.CELL_IMPLAUSIBLE),
+        ({"plausibility.cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
         ({"tension_n": -15.1}, Check.CELL_IMPLAUSIBLE),
         ({"sensor_emergency": True}, Check.EMERGENCY),
         ({"rival_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
         ({"enable_ignored": True}, Check.ENABLE_IGNORED),
-        ({"status_age_ns": 251 * MS}, Check.STATUS_STALE),
+        ({"drive_status.age_ns": 251 * MS}, Check.STATUS_STALE),
         ({"tangential_rad": 0.2}, Check.LIMIT),
         ({"tangential_rad": -0.2}, Check.LIMIT),
     ],
@@ -257,7 +258,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
 def test_nobody_arms_into_what_would_trip(bad: dict[str, object], check: Check) -> None:
     tilted = LimitSettings(signal="tangential_deg", low=-5.0, high=5.0, action="hold", modes=["HOLD"])
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [tilted]})))
-    snapshot = replace(GOOD, **bad)  # type: ignore[arg-type]
+    snapshot = changed(GOOD, bad)
     assert preflight(snapshot, SETTINGS, watch.beyond(snapshot, Mode.HOLD), Check(0)) == check
     assert preflight(GOOD, SETTINGS, watch.beyond(GOOD, Mode.HOLD), Check(0)) == Check(0)
 
@@ -287,7 +288,7 @@ def test_of_several_rows_the_strongest_acts_and_among_equals_the_first() -> None
     trip = watch.trips(snapshot, Mode.HOLD, 0)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.CELL_INVALID, Action.HOLD)
-    runaway = replace(snapshot, stroke_error_mm=1.0)
+    runaway = changed(snapshot, {"plausibility.stroke_error_mm": 1.0})
     trip = watch.trips(runaway, Mode.HOLD, MS)
     assert trip is not None
     assert (trip.fault, trip.action) == (Fault.DRIVE_NOT_FOLLOWING, Action.POWER_OFF)
@@ -329,7 +330,7 @@ def test_a_logged_limit_whose_signal_has_no_value_is_not_over() -> None:
     warm = LimitSettings(signal="drive_temperature_c", high=70.0, action="log", modes=["HOLD"])
     watch = WatchLog(SETTINGS, limits.rows(SETTINGS.model_copy(update={"limits": [warm]})))
     for at, found in enumerate([80.0, math.nan, math.nan, 80.0, math.nan, 60.0, 60.0]):
-        watch.trips(replace(GOOD, drive_temperature_c=found), Mode.HOLD, at * 1000 * MS)
+        watch.trips(changed(GOOD, {"drive_status.temperature_c": found}), Mode.HOLD, at * 1000 * MS)
     ends = [(begins, math.isnan(trip.value)) for trip, begins in watch.limits]
     assert ends == [(True, False), (False, True), (True, False), (False, True), (False, False)]
 

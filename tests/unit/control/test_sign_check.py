@@ -90,8 +90,8 @@ def test_the_slope_must_be_one_of_the_assumed_family(factor: float, fault: Fault
     least, most = SETTINGS.plant.found_n_mm
     assert (least, most) == (pytest.approx(2.26, abs=0.01), pytest.approx(8.23, abs=0.01))
     words = f"{factor * K:.2f} N/mm found, {least:.2f} to {most:.2f} N/mm expected"
-    assert check.words == ("" if fault is Fault.NONE else words)
-    assert len(check.words) <= 80  # an event's text
+    assert check.seen.words == ("" if fault is Fault.NONE else words)
+    assert len(check.seen.words) <= 80  # an event's text
 
 
 def test_the_family_of_the_first_tensioning_is_that_of_the_design() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import collections
+from dataclasses import is_dataclass
 
 from rigctl.control.snapshot import Snapshot
 from tests.builders import observers
@@ -11,7 +12,8 @@ from tests.builders.paths import ROOT
 from tests.builders.rig_bench import SETTINGS
 
 FIELDS = frozenset(Snapshot.__slots__)
-LIVE = {"heartbeats_t_ns", "node_states", "power"}  # given to the constructor: the inbox's and the detector's own
+GROUPS = {name for name in FIELDS if is_dataclass(getattr(Snapshot(), name))}
+LIVE = GROUPS | {"heartbeats_t_ns", "node_states"}  # given to the constructor: the inbox's and the detectors' own
 
 
 def _assigned(tree: ast.AST) -> list[str]:

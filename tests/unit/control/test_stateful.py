@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 from hypothesis import settings
@@ -14,6 +14,7 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.faults import Fault
+from rigctl.control.findings import DriveStatusSeen
 from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
@@ -22,6 +23,7 @@ from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.devices.drive import Power
 from tests.builders.outcomes import MachineLog, WatchLog
 from tests.builders.paths import ROOT
+from tests.builders.snapshots import changed, put
 
 MS = 1_000_000
 ARMED: list[Any] = ["HOLD", "TENSIONING", "COMPENSATING", "RELEASING"]
@@ -36,14 +38,16 @@ SETTINGS = config.load(ROOT / "config/paper_rig.yaml").model_copy(
 GOOD = Snapshot(
     tension_n=300.0, cell_age_ns=MS, cell_heard=True, inclination_age_ns=9 * MS, stroke_mm=50.0,
     drive_age_ns=MS, drive_heard=True, bus_age_ns=MS,
-    drive_temperature_c=40.0, drive_current_a=1.0, io_age_ns=MS, status_age_ns=MS,
+    drive_status=DriveStatusSeen(age_ns=MS, temperature_c=40.0, current_a=1.0), io_age_ns=MS,
 )  # fmt: skip
 BAD: dict[str, object] = {
     "cell_age_ns": 16 * MS, "inclination_age_ns": 101 * MS, "drive_age_ns": 16 * MS, "bus_age_ns": 16 * MS,
-    "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "cell_repeats": 20, "stroke_error_mm": 1.0,
+    "cell_quality": 1, "tension_n": 401.0, "e_stop": True, "plausibility.cell_repeats": 20,
+    "plausibility.stroke_error_mm": 1.0,
     "io_age_ns": 101 * MS,
-    "drive_temperature_c": 90.0, "drive_current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
-    "unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True, "drive_emergency": True,
+    "drive_status.temperature_c": 90.0, "drive_status.current_a": 10.0, "lateness_ns": 600_000, "stroke_limited": True,
+    "plausibility.unexplained_mm": 11.0, "rejects": 20, "skipped_in_window": 50, "device_restarted": True,
+    "drive_emergency": True,
 }  # fmt: skip
 MOVING = (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)
 
@@ -56,7 +60,7 @@ class Rig(RuleBasedStateMachine):
         self.machine = MachineLog()
         self.rows = limits.rows(SETTINGS)
         self.watch = WatchLog(SETTINGS, self.rows)
-        self.snapshot = replace(GOOD)
+        self.snapshot = changed(GOOD, {})
         self.t_ns = 0
         self.since: dict[tuple[Fault, str], int] = {}  # time at which each signal that is bad now became bad
         self.enabled = self.faulted = False
@@ -121,16 +125,16 @@ class Rig(RuleBasedStateMachine):
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def goes_bad(self, name: str) -> None:
-        setattr(self.snapshot, name, BAD[name])
+        put(self.snapshot, {name: BAD[name]})
 
     @rule(name=st.sampled_from(sorted(BAD)))
     def is_good_again(self, name: str) -> None:
-        setattr(self.snapshot, name, getattr(GOOD, name))
+        put(self.snapshot, {name: attrgetter(name)(GOOD)})
 
     @rule()
     @precondition(lambda self: self.machine.fault is not Fault.NONE)
     def all_is_well_and_reset(self) -> None:
-        self.snapshot = replace(GOOD)
+        self.snapshot = changed(GOOD, {})
         self.faulted = False
         self.drive_is_followed()
         if self.machine.fault is Fault.NONE:  # a RESET has waited for the drive

@@ -45,7 +45,7 @@ def test_what_stands_is_latched_at_once_and_gets_no_correction() -> None:
     rig.run(0.002)
     assert rig.hold.reference_mm == 50.0
     rig.run(1.0)
-    assert (rig.command, rig.hold.error_mm) == (0.0, 0.0)
+    assert (rig.command, rig.hold.seen.excursion_mm) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize("speed", [10.0, -10.0, 0.5])
@@ -69,7 +69,7 @@ def test_a_drive_that_does_not_stop_does_not_take_the_latch_along() -> None:
     rig = Rig(offset=8.0, speed=8.0)
     rig.run(0.5)
     assert rig.hold.reference_mm < 50.0 + 8.0 * 0.1
-    assert rig.hold.error_mm > 2.0
+    assert rig.hold.seen.excursion_mm > 2.0
 
 
 @pytest.mark.parametrize("offset", [0.02, -0.1, 0.45])
@@ -80,17 +80,17 @@ def test_an_offset_is_corrected_to_the_dead_zone(offset: float) -> None:
     assert rig.hold.creep_mm_s == pytest.approx(offset, abs=0.1 * abs(offset) + 0.01)
     assert rig.creeps == (abs(offset) > CREEP_MM_S)
     assert rig.left == 0
-    assert rig.hold.corrected_mm == pytest.approx(-20.0 * offset, rel=0.1, abs=0.05)
+    assert rig.hold.seen.corrected_mm == pytest.approx(-20.0 * offset, rel=0.1, abs=0.05)
 
 
 def test_the_correction_never_exceeds_its_authority_and_does_not_wind_up() -> None:
     rig = Rig(offset=0.8)
     rig.run(3.0)
     assert rig.command == -AUTHORITY_MM_S
-    assert rig.hold.error_mm > SAID_MM
+    assert rig.hold.seen.excursion_mm > SAID_MM
     rig.offset = 0.0
     rig.run(10.0)
-    assert abs(rig.hold.error_mm) < 2.0 * DEAD_ZONE_MM
+    assert abs(rig.hold.seen.excursion_mm) < 2.0 * DEAD_ZONE_MM
     assert rig.said_mm > rig.hold.reference_mm - 0.1, "no overshoot worth speaking of"
 
 
@@ -109,10 +109,10 @@ def test_an_excursion_is_told_once() -> None:
 def test_the_sum_of_the_correction_is_what_a_drifting_position_has_moved_the_load_by(drift: float) -> None:
     rig = Rig(drift=drift)
     rig.run(0.8 / abs(drift))
-    assert rig.hold.corrected_mm == pytest.approx(rig.true_mm - 50.0, abs=0.02)
-    assert abs(rig.hold.corrected_mm) > 0.6
+    assert rig.hold.seen.corrected_mm == pytest.approx(rig.true_mm - 50.0, abs=0.02)
+    assert abs(rig.hold.seen.corrected_mm) > 0.6
     rig.hold.follow()
-    assert rig.hold.corrected_mm == 0.0
+    assert rig.hold.seen.corrected_mm == 0.0
 
 
 def test_a_position_that_contradicts_its_speed_or_is_old_is_not_followed() -> None:
@@ -125,9 +125,9 @@ def test_a_position_that_contradicts_its_speed_or_is_old_is_not_followed() -> No
     rig.snapshot.drive_heard = True
     rig.run(0.01)
     assert rig.command < 0.0
-    rig.snapshot.contradiction_mm = 0.31
+    rig.snapshot.plausibility.contradiction_mm = 0.31
     rig.run(0.01)
-    rig.snapshot.contradiction_mm = 0.0
+    rig.snapshot.plausibility.contradiction_mm = 0.0
     rig.run(0.01)
     assert rig.command == 0.0
     rig.hold.follow()

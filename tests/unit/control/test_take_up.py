@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.control.findings import TakeUpSeen
 from rigctl.control.take_up import FACTOR_SHARE, STEADY_S, TakeUp, limit_n, smallest_scale
 from tests.builders.paths import ROOT
 
@@ -26,15 +27,15 @@ class Motor:
     def run(
         self, ticks: int, current_a: float, tension_n: float = 0.0, *,
         slack: bool = True, tensioning: bool = True, fresh: bool = True,
-    ) -> TakeUp:  # fmt: skip
+    ) -> TakeUpSeen:  # fmt: skip
         for tick in range(ticks):
             age_ns = AGE_NS - tick if fresh else AGE_NS
             self.found.look(
                 current_a, age_ns, self.speed_mm_s, tension_n, 300.0, slack=slack, tensioning=tensioning
             )  # fmt: skip
-        return self.found
+        return self.found.seen
 
-    def tight(self, current_a: float, tension_n: float, *, fresh: bool = True, tensioning: bool = True) -> TakeUp:
+    def tight(self, current_a: float, tension_n: float, *, fresh: bool = True, tensioning: bool = True) -> TakeUpSeen:
         return self.run(STEADY, current_a, tension_n, slack=False, fresh=fresh, tensioning=tensioning)
 
 
@@ -51,7 +52,7 @@ def test_the_lowest_reading_is_the_friction() -> None:
     motor = Motor()
     for current_a in (0.2, 0.15, 0.3):
         motor.run(STEADY, current_a)
-    assert motor.found.rise_n == pytest.approx(0.15 * N_PER_A)
+    assert motor.found.seen.rise_n == pytest.approx(0.15 * N_PER_A)
 
 
 def test_no_reading_counts_until_the_speed_has_been_constant() -> None:
@@ -62,7 +63,7 @@ def test_no_reading_counts_until_the_speed_has_been_constant() -> None:
         motor.speed_mm_s -= 0.01
         motor.run(1, -0.5)
     motor.run(STEADY - 4, -0.5)
-    assert motor.found.rise_n == 0.0
+    assert motor.found.seen.rise_n == 0.0
     assert motor.run(STEADY, 0.2).rise_n == pytest.approx(0.0)
 
 
@@ -82,7 +83,7 @@ def test_what_was_found_is_kept_until_the_cell_shows_tension() -> None:
     motor = Motor()
     motor.run(STEADY, 0.2)
     motor.run(1, 0.6)
-    assert motor.found.excess_n > 0.0
+    assert motor.found.seen.excess_n > 0.0
     assert motor.run(10, 0.2, tensioning=False).excess_n > 0.0
     assert motor.run(1, 0.2, slack=False).excess_n == 0.0
     assert motor.run(STEADY, 0.6).rise_n == 0.0, "the friction is found anew"
@@ -97,9 +98,9 @@ def test_on_a_tight_rope_the_tension_has_to_rise_with_the_current() -> None:
     assert found.excess_n == pytest.approx(-found.limit_n)
     assert motor.tight(0.4, 60.0).excess_n > 0.0
     motor.tight(0.4, 100.0, tensioning=False)
-    assert motor.found.excess_n > 0.0, "kept in FAULT"
+    assert motor.found.seen.excess_n > 0.0, "kept in FAULT"
     motor.tight(0.4, 60.0)
-    assert motor.found.excess_n > 0.0, "and in the next TENSIONING"
+    assert motor.found.seen.excess_n > 0.0, "and in the next TENSIONING"
     motor.found.forget()
     assert motor.tight(0.4, 60.0).excess_n < 0.0, "the cell was corrected: what is there now is the first reading"
 
@@ -127,7 +128,7 @@ def test_only_the_current_of_an_upward_motion_is_compared(speed_mm_s: float) -> 
     motor.run(STEADY, 0.2)
     motor.speed_mm_s = speed_mm_s
     motor.tight(0.6, 50.0)
-    assert motor.found.shown_n == 0.0
+    assert motor.found.seen.shown_n == 0.0
 
 
 @pytest.mark.parametrize(("scale", "found"), [(-0.01, True), (0.01, False)])
@@ -136,4 +137,4 @@ def test_the_smallest_error_of_the_scale_is_the_one_stated(scale: float, found: 
     motor = Motor()
     motor.run(STEADY, 0.2)
     motor.tight(0.2 + 300.0 / scale / N_PER_A, 300.0)
-    assert (motor.found.excess_n > 0.0) is found
+    assert (motor.found.seen.excess_n > 0.0) is found

@@ -26,7 +26,7 @@ def look(
 ) -> bool:  # fmt: skip
     """Whether it is beyond its bound."""
     travel.look(stroke_mm, speed_mm_s, tension_n, cosine, setpoint_n, judged=judged)
-    return travel.excess_n > 0.0
+    return travel.seen.excess_n > 0.0
 
 
 def started(settings: RigSettings = PAPER, detection_s: float = 10.0) -> UnseenTravel:
@@ -40,7 +40,7 @@ def test_a_stroke_that_the_tension_does_not_show_is_bounded_in_newtons(way: floa
     travel = started()
     assert not look(travel, 10.0 + 0.99 * way * BOUND_MM)
     assert look(travel, 10.0 + 1.01 * way * BOUND_MM)
-    assert travel.unseen_n == pytest.approx(1.01 * SHARE * 300.0)
+    assert travel.seen.unseen_n == pytest.approx(1.01 * SHARE * 300.0)
 
 
 def test_a_stroke_that_the_tension_shows_is_none() -> None:
@@ -98,5 +98,5 @@ def test_a_payload_that_moves_as_far_as_declared_does_not_trip(way: float) -> No
 def test_after_the_end_it_begins_anew() -> None:
     travel = started()
     travel.end()
-    assert travel.excess_n == 0.0
+    assert travel.seen.excess_n == 0.0
     assert not look(travel, 10.0 + 3.0 * BOUND_MM)
