@@ -86,6 +86,15 @@ def trip(rig: Lockstep, action: Action, fault: Fault = Fault.LIMIT) -> None:
     rig.loop.machine.trip(Trip(fault, 1.0, 0.0, action), rig.clock.now())
 
 
+def brake_known_to_slip() -> Injector:
+    """The brake is known not to hold, as by a slip before."""
+
+    def inject(stand: Stand) -> None:
+        stand.lockstep.loop.brake.set("known to the row of the catalogue")
+
+    return _of((), inject)
+
+
 def quick_stop_then(*verbs: Verb, after_s: float = 0.01) -> Injector:
     """A limit whose action is a quick stop trips; the commands come while the drive is still stopping."""
 

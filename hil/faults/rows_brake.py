@@ -7,6 +7,7 @@ import math
 from hil.faults import in_device
 from hil.faults.at_several import gives, in_turn
 from hil.faults.expected import Around, Expected, InjectedFault, Reaction
+from hil.faults.in_controller import brake_known_to_slip
 from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.rows_parked import AT_ONCE
@@ -22,14 +23,17 @@ _REPORTED_S = 7.0  # a slip too slow for its speed is one over 5 s
 _MOVES: Expected = {Mode.HOLD: Reaction.MOVES, Mode.FAULT: Reaction.MOVES}
 _TAKEN_BACK: Expected = {Mode.HOLD: Reaction.HELD, Mode.FAULT: Reaction.KEPT}
 _WHY_BACK = "the motor that has just held the load takes it back, with a fault"
+_WHY_KEPT = "the motor gives the load to no brake that is known not to hold"
 _WHY_LATER = "nothing may switch a motor on by itself: the fault says so, and rigctl carry is the operator's"
 _ENCODER_STUCK = both(stuck(STROKE), reads(SPEED, times=0.0))
 
 
-def _parking(id_: str, what: str, inject: Injector, expected: Expected = _TAKEN_BACK) -> InjectedFault:
+def _parking(
+    id_: str, what: str, inject: Injector, expected: Expected = _TAKEN_BACK, why: str = _WHY_BACK
+) -> InjectedFault:
     return InjectedFault(
         id_, what, inject, expected, seconds=4.0, held_mm=HELD_MM, latency_ms=math.inf,
-        around=Around(change=(AT_ONCE,)), why=_WHY_BACK,
+        around=Around(change=(AT_ONCE,)), why=why,
     )  # fmt: skip
 
 
@@ -46,6 +50,9 @@ _RESET, _RESET_ARM = ((5.0, Verb.RESET),), ((5.0, Verb.RESET), (6.0, Verb.ARM))
 BRAKE: tuple[InjectedFault, ...] = (
     _parking("brake_slips_parking", "the brake gives way by 0.5 mm/s from the parking on", brake_slips(0.5)),
     _parking("brake_slips_parking_slowly", "the same by 0.1 mm/s", brake_slips(0.1)),
+    _parking("brake_known_parking", "the brake is known not to hold, and gives way by 0.5 mm/s whenever it is closed",
+             in_turn((0.0, brake_known_to_slip()), (0.0, brake_slips(0.5))),
+             {Mode.HOLD: Reaction.RIDDEN, Mode.FAULT: Reaction.KEPT}, _WHY_KEPT),
     _parking("brake_closes_late", "the brake closes 0.3 s later than the drive waits for it",
              in_device.brake_closes_late(300), {Mode.HOLD: Reaction.EITHER, Mode.FAULT: Reaction.KEPT}),
     *(_later(f"brake_slips_later_{round(speed * 1e3)}", f"the brake that holds gives way by {speed:g} mm/s",

@@ -21,7 +21,7 @@ from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stage import TickSeen
+from rigctl.control.stage import KEPT, KEPT_NS, TickSeen
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.control.trials import Trial
@@ -79,17 +79,22 @@ class HeldLoad:
         ``trial``: under way; the motor may hold for it until ``powered_until_ns``. ``delayed``: the load delays an end.
         """
         machine, at, snapshot = self._machine, self._machine.sequence, self._observer.snapshot
-        if machine.mode is Mode.FAULT and at.carry_until_ns:
+        faulted, enabled = machine.mode is Mode.FAULT, snapshot.drive_enabled
+        if at.carry_until_ns and (faulted or (machine.mode is Mode.HOLD and enabled)):
             # For a brake that is known not to hold the motor goes on whatever else is wrong, see `_trip_of_carried`.
-            other = self._watch.standing & ~SLIP_BITS and not self.on_motor
-            machine.follow(TickSeen(t_ns, gone=bool(other) or not snapshot.drive_enabled))
+            other = faulted and self._watch.standing & ~SLIP_BITS and not self.on_motor
+            machine.follow(TickSeen(t_ns, gone=bool(other) or not enabled))
             return
         until_ns = powered_until_ns if trial is not None else at.carry_until_ns
         measures = trial is not None and not trial.power_s
         powered = at.motor and not (at.ends or delayed)
         if self._parking.due(t_ns, machine.mode, snapshot, powered=powered, until_ns=until_ns, measures=measures):
-            machine.follow(TickSeen(t_ns, snapshot.drive_enabled, due=True))
-            self.first_second.begin(snapshot)
+            row = machine.follow(TickSeen(t_ns, enabled, due=True, fails=self.kept_by_motor))
+            if row is KEPT:
+                self.carried.begin(Witness.BOTH, self._watch.standing, snapshot)
+                self._logbook.held(t_ns, HeldBy.MOTOR, HeldBy.MOTOR, KEPT_NS * 1e-9, machine.mode.name.encode())
+            else:
+                self.first_second.begin(snapshot)
 
     def undo_parking(self, t_ns: int) -> Trip | None:
         """Have the motor take the load back from a brake that slips in its first second, if nothing else is wrong.
@@ -154,6 +159,12 @@ class HeldLoad:
         if self.on_motor and self.carried.by is not Witness.BOTH:
             return self.carried.lowered(estimate.stroke_mm, self._observer.snapshot.t_ns)
         return self._law.slack(estimate)
+
+    @property
+    def kept_by_motor(self) -> bool:
+        """The brake is known not to hold, and the rope is tight: the motor gives the load to nothing by itself."""
+        tight = not self._observer.slack or self._rope.slack_in_doubt(self._observer.snapshot)
+        return self.brake.fails and tight
 
     @property
     def on_motor(self) -> bool:

@@ -17,6 +17,7 @@ from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
 from rigctl.control.stage import (
     CUT_AFTER_NS,
+    KEPT_NS,
     NO_VALUES,
     NOT_LEFT,
     OFF_LIMIT_NS,
@@ -28,7 +29,6 @@ from rigctl.control.stage import (
 )
 from rigctl.devices.drive import Power
 
-LOWERED_NS = 600_000_000_000  # a HOLD during LOWER is carried by the motor for so long, as is a parking undone
 SLIP_BITS = bits_of(having(Trait.MOTOR_MAY_CARRY))
 SUPERVISED_NS = 2_000_000_000
 """Time for a drive left to itself to miss heartbeat or command (1 s at most), to stop and to close its brake."""
@@ -258,7 +258,9 @@ class Machine:
         row, command = stage.decide(self.sequence, seen), self.sequence.command
         if row is None:
             return None
-        if row.input is Input.LOWERED:
+        if row.input is Input.KEPT:
+            self.sequence = replace(self.sequence, carry_until_ns=seen.t_ns + KEPT_NS)
+        elif row.input is Input.LOWERED:
             self.lower(seen.t_ns)
         elif row.input is Input.PARKED:
             self.park(went_off=seen.due and not seen.enabled)
@@ -318,8 +320,11 @@ class Machine:
             self._answer(command, refusal)
 
     def lower(self, t_ns: int) -> None:
-        """The time of a CARRY is over: the motor lowers the load, since the brake would not hold it."""
-        self._accept(Accepted(None, Verb.LOWER, Event.LOWER), t_ns)
+        """The motor's time is over: it lowers the load, since the brake would not hold it; from HOLD as by RELEASE."""
+        if self.mode is Mode.HOLD:
+            self._go(Event.RELEASE)
+        else:
+            self._accept(Accepted(None, Verb.LOWER, Event.LOWER), t_ns)
 
     def stop(self, until_ns: int = 0) -> None:
         """The process ends, by ``until_ns`` whatever comes: hold the stroke and take no more commands."""
@@ -332,7 +337,7 @@ class Machine:
 
     def carry_back(self, t_ns: int) -> None:
         """The brake does not hold the load that it has been tested with: the motor takes it, as by CARRY."""
-        command = Accepted(None, Verb.CARRY, carry_ns=LOWERED_NS)
+        command = Accepted(None, Verb.CARRY, carry_ns=KEPT_NS)
         self.sequence = stage.after(self.sequence, Input.TAKEN_BACK, t_ns, command=command)
 
     def _accept(self, command: Accepted, t_ns: int) -> None:
@@ -346,7 +351,7 @@ class Machine:
             case Verb.CARRY:
                 at = replace(at, action=Action.HOLD, carry_until_ns=t_ns + command.carry_ns)
             case Verb.LOWER | Verb.RELEASE if self.fault is not Fault.NONE:  # the motor carries the load
-                until_ns = max(at.carry_until_ns, t_ns + LOWERED_NS)
+                until_ns = max(at.carry_until_ns, t_ns + KEPT_NS)
                 at = replace(at, action=Action.RAMP_DOWN, carry_until_ns=until_ns)
         self.sequence = at
         if event is not None:
@@ -359,6 +364,8 @@ class Machine:
             return
         self.mode = after
         self.end_trial(Refusal.ABORTED)
+        if self.fault is Fault.NONE and self.sequence.carry_until_ns:
+            self.sequence = replace(self.sequence, carry_until_ns=0)
         if event is Event.ENABLED:
             self.sequence = replace(self.sequence, armed=True)
         elif after is Mode.DISARMED:

@@ -174,7 +174,8 @@ class Orders:
     def _waits_for_brake(self, trial: trials.Trial) -> bool:
         """Whether a trial that only measures waits for the brake: a motor that holds the load moves it."""
         on_motor = self._machine.mode is Mode.HOLD and not self._observer.snapshot.power.braked
-        return on_motor and not trial.power_s and self._settings.cylinder.brake_waiver is None
+        given = self._settings.cylinder.brake_waiver is None and not self._machine.sequence.carry_until_ns
+        return on_motor and not trial.power_s and given
 
     def prepare(self, t_ns: int) -> None:
         """Go on with the sequence of an accepted command; the checks must pass to its end."""

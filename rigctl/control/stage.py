@@ -27,6 +27,8 @@ OFF_LIMIT_NS = 3_000_000_000
 """Time a drive has to stop, to close its brake and to go off after a DISARM."""
 DRIVE_RESET_NS = 1_000_000_000
 """Time a drive has to leave its fault state after a RESET."""
+KEPT_NS = 600_000_000_000
+"""For so long the motor keeps a load that the brake does not hold, where no operator has stated a time."""
 RESET_WORD_NS = 25_000_000
 """How long each of the two words of a fault reset is sent: drives read their controlword each 1 to 16 ms."""
 
@@ -53,6 +55,7 @@ class Input(Enum):
     TAKEN_BACK = "the brake slips in its first second, or for the second time in a test"
     ENABLED = "the drive is enabled"
     NOT_ENABLED = "not enabled in its time, with a fault latched"
+    KEPT = "the motor keeps a load that it was to give to a brake known not to hold"
     LOWERED = "the motor lowers the load"
     WITHDRAWN = "the command is refused, aborted, or ended by a trip"
     DRIVE_RESET = "`reset` of a drive in its own fault"
@@ -128,9 +131,9 @@ class Sequence:
     end. ``tried``: the trial. ``action``: reaction to the latched fault; it may grow stronger while the fault is
     latched, and weaker only by CARRY and LOWER. ``cut_ns``: from when `power_off` cuts the power. ``since_ns``: when
     OFF or SILENT began. ``armed``: by ARM, and neither disarmed nor taken off power since, so that a reset leads to
-    HOLD. ``carry_until_ns``: in FAULT the motor holds until then and then lowers the load, because the brake does not
-    hold; 0: no. ``ends``: the process ends. ``anew``: a reset of the silence is accepted: the loop ends, and start-up
-    brings all devices up again.
+    HOLD. ``carry_until_ns``: in HOLD and FAULT the motor holds until then and then lowers the load, because the brake
+    does not hold; 0: no. ``ends``: the process ends. ``anew``: a reset of the silence is accepted: the loop ends, and
+    start-up brings all devices up again.
     """
 
     base: DriveStage = DriveStage.STOP
@@ -214,7 +217,8 @@ class TickSeen(NamedTuple):
 
     ``enabled`` and ``faulted``: the drive, by its own report. ``cause``: what keeps a fault from being reset, which may
     begin while a RESET waits. ``prepared`` and ``barred``: of a command that waits for what goes before the drive's
-    power, and by its checks. ``latched``: a fault is. ``due``: a load that the motor holds is to be parked. ``gone``:
+    power, and by its checks. ``latched``: a fault is. ``due``: a load that the motor holds is to be parked. ``fails``:
+    the brake is known not to hold, and the rope is tight. ``gone``:
     the motor that carries for a brake is not enabled, or another cause than the slip ends it. ``ended``: the stroke of
     a process that ends is at rest, or its time is over.
     """
@@ -227,6 +231,7 @@ class TickSeen(NamedTuple):
     barred: bool = False
     latched: bool = False
     due: bool = False
+    fails: bool = False
     gone: bool = False
     ended: bool = False
 
@@ -257,6 +262,12 @@ def _s(limit_ns: int) -> str:
     return f"{limit_ns * 1e-9:g} s"
 
 
+KEPT = StageRow(
+    DriveStage.RUN, lambda _, seen: seen.due and seen.fails and seen.enabled, Input.KEPT, None,
+    f"a parking is due, the brake is known not to hold, and the rope is tight: the motor keeps the load for "
+    f"{KEPT_NS // 60_000_000_000} min",
+    "test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold",
+)  # fmt: skip
 SLIPPED = StageRow(
     DriveStage.PREPARE, lambda _, seen: seen.prepared is ArmingStep.SLIPPED, Input.WITHDRAWN, Refusal.BRAKE_SLIPPED,
     "the load moves in the brake test", "test_a_brake_that_slips_in_its_test_refuses_the_command",
@@ -312,8 +323,10 @@ ROWS = (
     ),
     StageRow(
         DriveStage.RUN, lambda at, seen: 0 < at.carry_until_ns <= seen.t_ns, Input.LOWERED, None,
-        "its time is over: the motor lowers the load", "test_a_carry_ends_on_the_brake_or_by_lowering",
+        "its time is over: the motor lowers the load, from HOLD as by `release`",
+        "test_a_carry_ends_on_the_brake_or_by_lowering",
     ),
+    KEPT,
     StageRow(
         DriveStage.RUN, lambda _, seen: seen.due, Input.PARKED, None,
         "HOLD for `hold.park_s`, or FAULT, at standstill; a stroke that does not come to rest in its time as well",

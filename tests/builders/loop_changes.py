@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from enum import StrEnum
 
 import pytest
@@ -43,6 +44,12 @@ def failing(rig: Lockstep, *steps: LoopStep) -> Iterator[None]:
 def end_time_of_trial(rig: Lockstep) -> None:
     """The time for which a trial may keep the motor on is over."""
     rig.loop._orders.powered_until_ns = rig.clock.now()
+
+
+def end_time_of_carrying(rig: Lockstep) -> None:
+    """The time for which the motor keeps a load that the brake does not hold is over."""
+    machine = rig.loop.machine
+    machine.sequence = replace(machine.sequence, carry_until_ns=rig.clock.now())
 
 
 def doubt_stroke(rig: Lockstep, *, doubted: bool = True) -> None:

@@ -15,9 +15,9 @@ from rigctl.cli import status
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
 from rigctl.control.faults import Fault
-from rigctl.control.machine import LOWERED_NS
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action
+from rigctl.control.stage import KEPT_NS
 from rigctl.control.tension import Gains
 from rigctl.page.operator_panel import answers, devices
 from rigctl.wire.alarms import as_message
@@ -258,7 +258,7 @@ def test_a_hold_stops_the_lowering_and_the_motor_carries(slipping: Lockstep) -> 
     assert set(slipping.run(5.0)["held_by"]) == {HeldBy.MOTOR}
     assert slipping.rig.truth.tension_n == pytest.approx(held_n, abs=0.5)
     left_ns = slipping.view.carry_until_ns - slipping.clock.now()
-    assert 0 < left_ns < LOWERED_NS
+    assert 0 < left_ns < KEPT_NS
 
 
 # -- a motor that cannot ------------------------------------------------------------

@@ -7,16 +7,21 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hil.faults import stand
+from hil.faults.in_controller import trip
 from hil.faults.in_device import brake_slips
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
+from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
+from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
+from rigctl.ipc.record import Flag
 from tests.builders.branches import Started
+from tests.builders.loop_changes import end_time_of_carrying
 from tests.builders.loop_frames import worded_events
 
 LIMIT_S = 25.0
@@ -139,3 +144,26 @@ def test_a_tension_on_a_brake_that_fails_ends_in_hold_for_the_test_and_never_com
     assert not held.loop.brake.fails
     assert held.command(Verb.TENSION) is Refusal.NONE
     held.run_until(Mode.COMPENSATING, LIMIT_S)
+
+
+@pytest.mark.gate
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
+def test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold(held: Lockstep, mode: Mode) -> None:
+    """The motor keeps it, and lowers it in the end; what was the brake's in `hold.park_s` is slack by then."""
+    slips(held, 0.5)
+    held.loop.brake.set("a test of the test")
+    if mode is Mode.FAULT:
+        trip(held, Action.HOLD)
+    before_mm = held.rig.truth.stroke_mm
+    held.run(held.settings.hold.park_s + 2.0)
+    assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM
+    assert (held.loop.machine.mode, held.record["held_by"]) == (mode, HeldBy.MOTOR)
+    assert held.record["flags"] & Flag.CARRIES
+    texts = [event.text for number, event in worded_events(held) if number == Kind.HELD]
+    assert f"{mode.name}: load held by the motor, for at most 600 s" in texts
+    end_time_of_carrying(held)
+    held.run_until(Mode.RELEASING, 1.0)
+    held.run_until(mode, LIMIT_S)
+    assert held.view.slack
+    held.run(held.settings.hold.park_s + 2.0)
+    assert (held.loop.machine.mode, held.view.braked) == (mode, True), "a slack rope is left to any brake"

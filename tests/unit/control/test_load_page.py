@@ -12,13 +12,12 @@ from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.faults import Trait, having
-from rigctl.control.machine import LOWERED_NS
 from rigctl.control.modes import CARRY_S
 from rigctl.control.orders import RECHECK_NS
 from rigctl.control.parking import REST_NS, UNDO_MM
 from rigctl.control.power_seen import UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
-from rigctl.control.stage import ARM_LIMIT_NS
+from rigctl.control.stage import ARM_LIMIT_NS, KEPT_NS
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SAID_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 from tests.builders.paths import ROOT
@@ -34,6 +33,7 @@ SAID = (
     f"Beyond {NOT_HELD_MM:g} mm the drive is taken off power",
     f"beyond {CORRECTED_MM:g} mm the brake takes the load",
     f"not at rest {REST_NS * 1e-9:g} s after a stop should have ended",
+    f"in HOLD and in FAULT, for {KEPT_NS // MINUTE_NS} min",
     f"in HOLD, at {PAYS_OUT_MM_S:g} mm/s",
     f"each time, within {AWAIT_NS * 1e-9:g} s |",
     f"| drive enabled within {ARM_LIMIT_NS * 1e-9:g} s |",
@@ -41,7 +41,7 @@ SAID = (
     f"| brake test (SBT), {BRAKE_TEST_NS * 1e-9:g} s |",
     f"within {UNDO_NS * 1e-9:g} s, stroke and tension",
     f"has sunk by {UNDO_MM:g} mm",
-    f"as by `carry`, for {LOWERED_NS // MINUTE_NS} min",
+    f"as by `carry`, for {KEPT_NS // MINUTE_NS} min",
     f"faster than {SINK_MM_S:g} mm/s over 5 s or {BRAKE_SLIP_MM_S:g} mm/s at once",
     f"a net motion of {MOVED_MM:g} mm",
     f"lost {FALLS:g} times the limit of LOAD_SINKS for {FALLS_NS * 1e-9:g} s",
@@ -49,7 +49,7 @@ SAID = (
     f"the load for the same {LONG_TEST_NS * 1e-9:g} s",
     f"where it has moved by {BRAKE_TEST_MM:g} mm",
     f"holds it for {CARRY_S[0]:g} to {CARRY_S[1]:g} s",
-    f"the motor carries for {LOWERED_NS // MINUTE_NS} min",
+    f"the motor carries for {KEPT_NS // MINUTE_NS} min",
     f"the encoder alone lowers at {LOWERS_MM_S:g} mm/s",
     f"and {SPARE_MM:g} mm more",
     f"for {FOLLOWS_NS * 1e-9:g} s more than {FOLLOWS_MM:g} mm from the commanded stroke",

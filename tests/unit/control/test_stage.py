@@ -19,6 +19,7 @@ from rigctl.control.stage import (
     ARM_LIMIT_NS,
     CUT_AFTER_NS,
     DRIVE_RESET_NS,
+    KEPT_NS,
     OFF_LIMIT_NS,
     ROWS,
     STAGES,
@@ -66,6 +67,7 @@ CASES = (
     (ENABLE, TickSeen(100)),
     (CARRIED, TickSeen(100, gone=True)),
     (CARRIED, TickSeen(100)),
+    (RUN, TickSeen(100, True, due=True, fails=True)),
     (RUN, TickSeen(100, due=True)),
     (RUN, TickSeen(100, ended=True)),
 )
@@ -171,6 +173,29 @@ def test_a_carry_ends_on_the_brake_or_by_lowering() -> None:
     machine.follow(TickSeen(40, gone=True))
     assert (machine.mode, machine.sequence.stage) == (Mode.FAULT, DriveStage.STOP)
     assert machine.sequence.carry_until_ns == 0
+
+
+@pytest.mark.parametrize("mode", [Mode.HOLD, Mode.FAULT])
+def test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold(mode: Mode) -> None:
+    machine = MachineLog()
+    machine.command(1, Verb.ARM, READY, 0)
+    machine.follow_drive(True, 1)
+    if mode is Mode.FAULT:
+        machine.trip(Trip(Fault.CELL_STALE, 20.0, 15.0), 1)
+    assert machine.follow(TickSeen(2, enabled=True, due=True, fails=True)) is stage.KEPT
+    assert (machine.mode, machine.sequence.stage) == (mode, DriveStage.RUN)
+    assert machine.follow(TickSeen(1 + KEPT_NS)) is None
+    machine.follow(TickSeen(2 + KEPT_NS))
+    assert machine.mode is Mode.RELEASING
+    assert (machine.sequence.carry_until_ns > 0) is (mode is Mode.FAULT), "a ramp from HOLD is no carrying"
+
+
+def test_a_drive_that_went_off_cannot_keep_the_load() -> None:
+    machine = MachineLog()
+    machine.command(1, Verb.ARM, READY, 0)
+    machine.follow_drive(True, 1)
+    machine.follow(TickSeen(2, enabled=False, due=True, fails=True))
+    assert machine.sequence.stage is DriveStage.STOP
 
 
 @pytest.mark.parametrize("enabled", [True, False])
