@@ -126,9 +126,9 @@ class LoopView:
         return self._seen.e_stop
 
     @property
-    def rival_age_ns(self) -> int:
+    def master_age_ns(self) -> int:
         """Time since another controller was heard."""
-        return self._seen.rival_age_ns
+        return self._seen.master_age_ns
 
     @property
     def lateness_ns(self) -> int:

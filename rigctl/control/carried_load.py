@@ -79,7 +79,7 @@ class CarriedLoad:
         stroke = bool(standing & STROKE_BITS)
         return Witness.BOTH if cell is stroke else Witness.ENCODER if cell else Witness.CELL
 
-    def heeded(self, standing: int) -> int:
+    def stopped_by(self, standing: int) -> int:
         """The causes of these that stop the motor."""
         bits = standing & _ENDS_BITS
         if self.by is Witness.ENCODER:

@@ -28,7 +28,7 @@ from rigctl.control.gain_table import ScheduledGains
 from rigctl.control.hold_sockets import HoldSockets, prepared
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.network_state import rival_ids
+from rigctl.control.network_state import master_ids
 from rigctl.control.tension import Gains
 from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od
@@ -50,7 +50,7 @@ def receive_filters(settings: RigSettings, process_data: ProcessData) -> CanFilt
     bases = (od.EMCY_BASE, od.HEARTBEAT_BASE, od.SDO_TX_BASE, od.SDO_RX_BASE)
     ids = [base + node for base in bases for node in settings.canopen_nodes.values()]
     ids += list(process_data.can_ids(settings).values())
-    ids += rival_ids(settings)
+    ids += master_ids(settings)
     ids += [message.can_id for message in settings.plain_messages.values()]
     return [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in ids]
 

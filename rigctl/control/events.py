@@ -157,12 +157,12 @@ def fault_text(fault: Fault, value: float, limit: float, text: str = "") -> str:
         seen=_SEEN.get(value, "input not known"),
         state=_node_words(value, limit),
         missed=_missed_words(value, limit, text),
-        unasked=_unasked_words(value, limit, text),
+        not_requested=_not_requested_words(value, limit, text),
         emergency=_emergency_words(value),
     )
 
 
-def _unasked_words(value: float, limit: float, text: str) -> str:
+def _not_requested_words(value: float, limit: float, text: str) -> str:
     """Of a drive that has power without a command; one that does not show that it has gone off is commanded by none."""
     if text == LINGERS:
         return ""

@@ -308,7 +308,7 @@ class Fault(IntEnum):
     # The drive is enabled, or moves under power, without our command
     DRIVE_UNASKED = (
         35,
-        "{text}{unasked}",
+        "{text}{not_requested}",
         "Find who commands the drive, withdraw the tool, then reset.",
         Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
     )

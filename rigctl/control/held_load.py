@@ -141,8 +141,8 @@ class HeldLoad:
                 Fault.DRIVE_NOT_FOLLOWING, carried.strayed_mm, FOLLOWS_MM, Action.QUICK_STOP, WITNESS_TEXT
             )  # fmt: skip
         off = self._machine.sequence.motor and not snapshot.drive_enabled  # nothing carries any more
-        heeded = standing if off else carried.heeded(standing)
-        found = self._watch.strongest(snapshot, heeded) if heeded else None
+        stops = standing if off else carried.stopped_by(standing)
+        found = self._watch.strongest(snapshot, stops) if stops else None
         return found and replace(found, action=max(found.action, Action.QUICK_STOP))
 
     def releasing(self, estimate: Estimate, cosine: float, added_mm_s: float) -> float:

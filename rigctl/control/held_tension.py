@@ -211,7 +211,7 @@ class HeldTension:
         self._slow_marks.clear()
         self._marked_s, self._slow_marked_s, self._lasted_s, self._least_n = 0.0, 0.0, 0.0, math.inf
         self._goes_on = self._goes_on_slowly = False
-        self._went_on_s = self._lingers_s = 0.0
+        self._went_on_s = self._lasts_s = 0.0
 
     def _look_for_fall(self, passed_s: float) -> None:
         """Compare with the highest tension that has lasted."""
@@ -238,11 +238,11 @@ class HeldTension:
             self._goes_on = SINKS_MM_S < speed_mm_s < UNLOADED_MM_S
             if self._goes_on:  # near the limit a fall that has lasted would come and go
                 self._went_on_s = self._went_on_s + MARK_S if speed_mm_s < LINGERS * SINKS_MM_S else 0.0
-                self._lingers_s = LASTS_S if self._went_on_s >= SINKS_NS * 1e-9 else 0.0
-            elif self._lingers_s <= 0.0:
+                self._lasts_s = LASTS_S if self._went_on_s >= SINKS_NS * 1e-9 else 0.0
+            elif self._lasts_s <= 0.0:
                 self._went_on_s = 0.0
             else:
-                self._lingers_s -= MARK_S
+                self._lasts_s -= MARK_S
                 self._goes_on = True
             self._marks.append(smooth_n)
         self._slow_marked_s += passed_s

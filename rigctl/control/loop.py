@@ -217,7 +217,7 @@ class Loop:
             self._follow_drive(t_ns, snapshot)
         if machine.sequence.disarming or snapshot.power.braked is not machine.sequence.off:
             machine.follow_off(t_ns, off=snapshot.power.braked)
-        orders.attend(t_ns)
+        orders.go_on(t_ns)
         held.park(t_ns, orders.trial, orders.powered_until_ns, delayed=self._ending.delayed)
         if machine.mode in _ENDS_BY_ITSELF:
             self._motion.end_mode(estimate)

@@ -44,7 +44,7 @@ class OptionalDevice(Protocol):
         """It has restarted, with unverified settings."""
 
 
-def rival_ids(settings: RigSettings) -> list[int]:
+def master_ids(settings: RigSettings) -> list[int]:
     """Identifiers that only a controller of this rig sends: NMT, SYNC, its heartbeat, the drive's command."""
     heartbeat = od.HEARTBEAT_BASE + settings.can.controller_node
     return [od.NMT_COB, od.SYNC_COB, heartbeat, od.DRIVE_RPDO.cob_base + settings.cylinder.node]
@@ -55,7 +55,7 @@ class NetworkState:
 
     ``states``: newest NMT state of each node. ``heartbeats_t_ns``: when each was last heard. ``restarted``: a device
     booted since start-up, so its verified settings are lost. ``sensor_emergency``, ``drive_emergency``: node << 16 |
-    code of an active emergency, 0 for none. ``rival_t_ns``, ``rival_words``: when another controller last sent, and
+    code of an active emergency, 0 for none. ``master_t_ns``, ``master_words``: when another controller last sent, and
     what it did.
     """
 
@@ -76,8 +76,8 @@ class NetworkState:
         self.restarted = False
         self._in_error: dict[int, int] = {}  # emergencies of cell, inclinometer and I/O node, the newest last
         self.sensor_emergency = self.drive_emergency = self.error_frames = 0
-        self.rival_t_ns = self._foreign_request_ns = NEVER_NS
-        self.rival_words = ""
+        self.master_t_ns = self._foreign_request_ns = NEVER_NS
+        self.master_words = ""
 
     def channels(self, settings: RigSettings) -> dict[int, Take]:
         """What takes each frame, by identifier."""
@@ -87,7 +87,7 @@ class NetworkState:
             found[od.HEARTBEAT_BASE + node] = partial(self._take_heartbeat, node)
             found[od.SDO_RX_BASE + node] = partial(self._take_sdo_request, node)
             found[od.SDO_TX_BASE + node] = partial(self._take_sdo_answer, node)
-        return found | dict.fromkeys(rival_ids(settings), self._take_command)
+        return found | dict.fromkeys(master_ids(settings), self._take_command)
 
     def begin(self, now_ns: int) -> None:
         """The first tick: start-up has just reached all nodes."""
@@ -142,7 +142,7 @@ class NetworkState:
 
     def _take_command(self, _data: Data, now_ns: int) -> None:
         """A controller's frame. It is another controller's, because the bus does not return our own frames."""
-        self.rival_t_ns, self.rival_words = now_ns, "commands this bus"
+        self.master_t_ns, self.master_words = now_ns, "commands this bus"
 
     def _take_sdo_request(self, node: int, data: Data, now_ns: int) -> None:
         """An SDO request is another master's, because the bus does not return our own frames."""
@@ -155,12 +155,12 @@ class NetworkState:
         if self._readback.take(node, data, now_ns):
             return
         if now_ns - self._foreign_request_ns < ANSWERED_NS:
-            self.rival_t_ns = now_ns  # the request has been reported already
+            self.master_t_ns = now_ns  # the request has been reported already
         else:
             self._take_foreign_sdo(node, sdo.multiplexer(data), sdo.foreign_answer(node, data), now_ns)
 
     def _take_foreign_sdo(self, node: int, where: tuple[int, int] | None, words: str, now_ns: int) -> None:
-        self.rival_t_ns, self.rival_words = now_ns, words
+        self.master_t_ns, self.master_words = now_ns, words
         if len(self._notices.foreign_sdo) < MAX_NOTICES:
             index, sub = where or (0, 0)
             self._notices.foreign_sdo.append((node, index << 8 | sub, words))

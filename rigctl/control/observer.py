@@ -155,7 +155,7 @@ class Observer:
         snapshot.drive_local = not statusword & STATUS_REMOTE
         snapshot.drive_limited = statusword & STATUS_INTERNAL_LIMIT != 0
         snapshot.drive_ignores = snapshot.drive_enabled and not statusword & STATUS_FOLLOWS
-        snapshot.rival_age_ns, snapshot.rival_words = now_ns - network.rival_t_ns, network.rival_words
+        snapshot.master_age_ns, snapshot.master_words = now_ns - network.master_t_ns, network.master_words
         snapshot.bus_age_ns = now_ns - inbox.bus_t_ns
         if network.error_frames != errors.total:
             errors.add(now_ns, network.error_frames - errors.total)
@@ -204,9 +204,9 @@ class Observer:
         snapshot.drive_powered = not (snapshot.drive_off or snapshot.drive_faulted or commanded)
         self._went_off = not commanded and (self._went_off or snapshot.drive_off)
         # A silent drive may have obeyed long ago.
-        snapshot.drive_unasked = snapshot.drive_heard and enabled and self._went_off
+        snapshot.drive_not_requested = snapshot.drive_heard and enabled and self._went_off
         self._look_at_power()
-        snapshot.drive_lingers = snapshot.drive_may_be_on and not commanded
+        snapshot.drive_off_pending = snapshot.drive_may_be_on and not commanded
         snapshot.stroke_unconfirmed, snapshot.stroke_jump_mm = self._homed.doubted, self._homed.jump_mm
         if self._readback.lost or snapshot.readback.lost:
             self._readback.show()

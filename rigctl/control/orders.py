@@ -133,7 +133,7 @@ class Orders:
         self._held_ns = t_ns
         self._obey(id_, Verb.HOLD, {}, t_ns)
 
-    def attend(self, t_ns: int) -> None:
+    def go_on(self, t_ns: int) -> None:
         """Go on with a waiting command, what the displays offer, and the trial, answered once it has ended."""
         machine = self._machine
         if self._waiting is not None:

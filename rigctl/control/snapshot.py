@@ -68,8 +68,8 @@ class Snapshot:
     drive_limited: bool = False  # statusword bit 11: a limit inside the drive is active
     drive_ignores: bool = False  # enabled, but bit 12 is off: the drive does not follow the target velocity
     drive_powered: bool = False  # neither off nor in its fault state
-    drive_unasked: bool = False  # enabled again after it was off, without our command
-    drive_lingers: bool = False  # commanded to go off, and not seen off since
+    drive_not_requested: bool = False  # enabled again after it was off, without our command
+    drive_off_pending: bool = False  # commanded to go off, and not seen off since
     drive_may_be_on: bool = False  # commanded or seen on since it was last seen without power
     drive_stops: bool = False  # in a state that ends without power by itself
     unseen_mm: float = 0.0  # most the stroke may have moved since the drive's newest sample
@@ -99,8 +99,8 @@ class Snapshot:
     load_at_rest: LoadAtRest = LoadAtRest.UNKNOWN  # the same; see rigctl.control.load_at_rest
     rope_lost: bool = False
     device_restarted: bool = False
-    rival_age_ns: int = 1 << 62  # since another controller was heard
-    rival_words: str = ""  # what that controller did
+    master_age_ns: int = 1 << 62  # since another controller was heard
+    master_words: str = ""  # what that controller did
     stroke_unconfirmed: bool = False  # see rigctl.control.homed
     stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
     readback: ReadbackSeen = field(default_factory=ReadbackSeen)

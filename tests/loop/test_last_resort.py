@@ -195,7 +195,7 @@ def test_a_motor_that_creeps_under_its_own_stop_loses_its_power_by_sdo(rig: Lock
     rig.run(2.0)
     assert braked(rig)
     assert rig.rig.truth.stroke_mm == pytest.approx(silent_mm, abs=1.0)
-    assert rig.view.rival_age_ns > 1e9, "the drive's answer is to us"
+    assert rig.view.master_age_ns > 1e9, "the drive's answer is to us"
 
 
 @pytest.mark.starts_in(Mode.HOLD)

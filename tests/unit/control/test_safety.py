@@ -81,9 +81,9 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     },
     (Fault.DRIVE_REFUSES, "a limit of its own is active (statusword bit 11)"): {"drive_limited": True},
     (Fault.DRIVE_REFUSES, "it does not follow the commanded speed (statusword bit 12 is off)"): {"drive_ignores": True},
-    (Fault.DRIVE_UNASKED, "the drive has been enabled by somebody else"): {"drive_unasked": True},
+    (Fault.DRIVE_UNASKED, "the drive has been enabled by somebody else"): {"drive_not_requested": True},
     (Fault.DRIVE_UNASKED, "the drive does not show that it has gone off though it is commanded to"): {
-        "drive_lingers": True
+        "drive_off_pending": True
     },
     (Fault.DRIVE_UNASKED, "mm/s the stroke moves under power"): {"speed_mm_s": 0.3, "drive_powered": True},
     **{
@@ -98,7 +98,7 @@ BAD: dict[tuple[Fault, str], dict[str, object]] = {
     (Fault.SENSOR_EMERGENCY, ""): {"sensor_emergency": True},
     (Fault.DRIVE_EMERGENCY, ""): {"drive_emergency": True},
     (Fault.CELL_STUCK, "samples"): {"plausibility.cell_repeats": 20},
-    (Fault.RIVAL, ""): {"rival_age_ns": 10 * MS},
+    (Fault.RIVAL, ""): {"master_age_ns": 10 * MS},
     (Fault.SUPERVISION_LOST, ""): {"readback.lost": 1},
     (Fault.SUPERVISION_LOST, "commands"): {"readback.disobeys": True},
     (Fault.SUPERVISION_LOST, "drive"): {"readback.unsupervised": 1},
@@ -246,7 +246,7 @@ def test_no_correction_of_the_cell_puts_the_tension_limit_off(mode: Mode) -> Non
         ({"plausibility.cell_unrest_n": 1.0}, Check.CELL_IMPLAUSIBLE),
         ({"tension_n": -15.1}, Check.CELL_IMPLAUSIBLE),
         ({"sensor_emergency": True}, Check.EMERGENCY),
-        ({"rival_age_ns": MS}, Check.RIVAL),
+        ({"master_age_ns": MS}, Check.RIVAL),
         ({"drive_emergency": True}, Check.EMERGENCY),
         ({"io_age_ns": 101 * MS}, Check.E_STOP_IO_UNSEEN),
         ({"enable_ignored": True}, Check.ENABLE_IGNORED),
@@ -342,7 +342,7 @@ def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> Non
 
 
 def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
-    assert WatchLog(SETTINGS).present(replace(GOOD, rival_age_ns=10 * MS)) is Fault.RIVAL
+    assert WatchLog(SETTINGS).present(replace(GOOD, master_age_ns=10 * MS)) is Fault.RIVAL
 
 
 def test_a_rig_without_an_io_node_watches_for_none() -> None:
