@@ -50,7 +50,7 @@ class LoopView:
     @property
     def failed_checks(self) -> Check:
         """Checks that bar an ARM now."""
-        return self._loop._orders.failed_checks()
+        return self._loop._orders.checks.failed()
 
     # -- drive, brake and load -----------------------------------------------------------------------------------
     @property

@@ -9,10 +9,11 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming, modes, safety, trials
+from rigctl.control import arming, modes, trials
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
 from rigctl.control.checks import HOST_CHECKS, Check
+from rigctl.control.command_checks import CommandChecks
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import Hold, HoldSource
@@ -22,15 +23,13 @@ from rigctl.control.machine import Answer, Machine
 from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
-from rigctl.control.power_seen import STILL_NS
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.settings_in_force import SettingsInForce
 from rigctl.control.situation import Situation, Witness
-from rigctl.control.stage import NO_VALUES, READY, SLIPPED, Accepted, TickSeen
+from rigctl.control.stage import READY, SLIPPED, Accepted, TickSeen
 from rigctl.control.tension import TensionLaw
-from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
@@ -50,21 +49,17 @@ class _Waiting(NamedTuple):
 
 
 KNOWN_TEXT = " and is known not to hold, the motor has the load"
-RECHECK_NS = 600_000_000_000
-"""A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""
 _ABOUT_DRIVE = frozenset(
     {Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN, Refusal.BRAKE_SLIPPED, Refusal.LITTLE_LOAD,
      Refusal.STOP_RUNNING}
 )  # fmt: skip
 """Refusals whose reply has a figure of drive or brake."""
-_MOVES = frozenset({Verb.TENSION, Verb.RELEASE, Verb.LOWER})
-"""The load moves on purpose: what it sank by the arms before is of no account."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 LOOK_NS = 100_000_000  # period of what the displays offer
 
 
 class Orders:
-    """Carries out commands and answers them.
+    """Carries out commands and answers them. ``checks``: what the answers depend on.
 
     ``trial``: the one under way. ``settings``: what the gateway has put in force.
     ``shown_checks``: bits of the checks that failed when they were last looked at, for the record.
@@ -95,20 +90,20 @@ class Orders:
         self.trial: trials.Trial | None = None
         self.shown_checks = 0
         self.settings = SettingsInForce(settings, observer, law, logbook)
+        self.checks = CommandChecks(
+            settings, machine, observer, watch, readback, brake, carried, rope, self.settings, supervised=supervised
+        )
         self._settings, self._machine, self._observer = settings, machine, observer
-        self._law, self._watch, self._logbook, self._supervised = law, watch, logbook, supervised
+        self._law, self._watch, self._logbook = law, watch, logbook
         self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
-        self._brake, self._carried, self._rope = brake, carried, rope
+        self._brake, self._carried = brake, carried
         self._waiting: _Waiting | None = None
-        self._recheck = False  # a fault has been reset since the last read-back of every object
         self.powered_until_ns = 0
         """The motor may hold until then for the trial under way; 0: the trial needs no power."""
         self._look_ns = 0
         self._found: _Values = {}  # figures of the last trial
         self.length_mm = 0.0  # of the last RELEASE
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
-        self._armed_mm = math.nan  # stroke at the first ARM of a tight rope since the load was moved on purpose
-        self._disarmed_mm = math.nan  # at the last DISARM: what moves from there to the next ARM is no arm's
 
     def take(self, slot: object, t_ns: int) -> bool:
         """Take one slot of the command ring; returns whether an operator gave it."""
@@ -159,6 +154,11 @@ class Orders:
             machine.end_trial(verdict)
         self.trial = None
 
+    @property
+    def _waiting_verb(self) -> int:
+        """Of a command that waits for the read-back; 0: none does."""
+        return 0 if self._waiting is None else self._waiting.verb
+
     def look_again(self) -> None:
         """What the answers to commands depend on has changed."""
         self._look_ns = 0
@@ -166,8 +166,10 @@ class Orders:
     def _publish(self, t_ns: int) -> None:
         """Write the situation for the displays, and note the checks for the record."""
         machine = self._machine
-        failing = Check(0) if machine.mode.moves_stroke else self.failed_checks()
-        self._logbook.situation(t_ns, machine.mode, self._situation(t_ns, failing=failing))
+        failing = Check(0) if machine.mode.moves_stroke else self.checks.failed()
+        self._logbook.situation(
+            t_ns, machine.mode, self.checks.situation(t_ns, failing=failing, waiting=self._waiting_verb)
+        )
         if machine.mode in (Mode.DISARMED, Mode.FAULT) and not machine.sequence.pending:
             self.shown_checks = int(failing & ~arming.AWAITED_CHECKS or failing)
 
@@ -184,7 +186,7 @@ class Orders:
             return
         test, step = arming.prepare(command.test, t_ns, snapshot, slack=self._observer.slack)
         machine.prepare(test)
-        barred = step is not arming.ArmingStep.SLIPPED and bool(self._barring(command) & ~arming.AWAITED_CHECKS)
+        barred = step is not arming.ArmingStep.SLIPPED and bool(self.checks.barring(command) & ~arming.AWAITED_CHECKS)
         row = machine.follow(TickSeen(t_ns, prepared=step, barred=barred))
         if row is SLIPPED:
             trip = Trip(Fault.BRAKE_SLIPS, test.moved_mm, arming.BRAKE_TEST_MM, Action.HOLD, arming.TEST_TEXT)
@@ -193,7 +195,7 @@ class Orders:
             # A load on a brake that fails the test for the second time is the motor's, as is one that it had before.
             back = self._brake.fails or command.verb is Verb.BRAKE_TEST
             self._brake.set("the brake test has failed")
-            if back and not self._barring(Accepted(None, Verb.CARRY)):
+            if back and not self.checks.barring(Accepted(None, Verb.CARRY)):
                 self._carried.begin(Witness.BOTH, self._watch.standing, snapshot)
                 machine.carry_back(t_ns)
         elif row is READY and test.tested is not None:
@@ -210,14 +212,14 @@ class Orders:
 
     def _tripped(self, given: Answer) -> Answer:
         """A trip that no check names has ended the command: its cause is the answer."""
-        tripped = given.refusal is Refusal.PREFLIGHT and not self._barring(given.command)
+        tripped = given.refusal is Refusal.PREFLIGHT and not self.checks.barring(given.command)
         return replace(given, refusal=Refusal.CAUSE_PRESENT) if tripped else given
 
     def _reply_to(self, t_ns: int, given: Answer, barred: Check = Check(0)) -> None:  # noqa: B008 - a constant
         """``barred``: by these checks, where the situation of the answer knows them."""
         checks, figures = 0, {"tension_n": self._observer.tension_n}
         if given.refusal is Refusal.PREFLIGHT:
-            failing = barred or self._barring(given.command)
+            failing = barred or self.checks.barring(given.command)
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
         elif given.refusal in _ABOUT_DRIVE:
             figures = self._of_drive(given)
@@ -225,7 +227,7 @@ class Orders:
             figures = {"cause": float(self._watch.present(self._observer.snapshot))}
             checks = self._watch.blocking(self._observer.snapshot)
         elif given.refusal is Refusal.SUNK:
-            figures = {"moved_mm": self._armed_mm - self._observer.snapshot.stroke_mm}
+            figures = {"moved_mm": self.checks.sunk_mm}
         elif given.refusal is Refusal.DISAGREE:
             figures = {"apart_mm": self._observer.snapshot.sinking.apart_mm}
         elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
@@ -256,29 +258,6 @@ class Orders:
             case _:
                 return {"drive_state": float(drive_state(self._observer.inbox.drive.statusword))}
 
-    def failed_checks(self, *, near_end: bool = False) -> Check:
-        """Checks that bar arming now; ``near_end``: see `rigctl.control.safety.preflight`."""
-        known = Check(self.settings.host_checks) | (Check.CALIBRATION if self.settings.overdue else Check(0))
-        if not self._verified_at_start or self._readback.lost:
-            known |= Check.DRIVE_SUPERVISION
-        snapshot = self._observer.snapshot
-        beyond = self._watch.beyond(snapshot, Mode.HOLD)
-        failing = safety.preflight(snapshot, self._settings, beyond, known, near_end=near_end)
-        return failing | arming.awaited(snapshot)
-
-    def _barring(self, command: Accepted) -> Check:
-        """Checks that fail now of those that a command must pass."""
-        failing = self.failed_checks(near_end=_near_end(command.verb, command.values))
-        if command.verb is Verb.ARM:
-            return failing
-        if command.verb in modes.CARRIES and (self._brake.fails or self._carried.named):
-            return failing & modes.bars_carry(self._carried.choose(self._watch.standing, self._observer.snapshot))
-        return failing & ~modes.AT_ARM_ONLY
-
-    @property
-    def _verified_at_start(self) -> bool:
-        return self._supervised and not self._observer.inbox.network.restarted
-
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
         self.look_again()
@@ -286,7 +265,7 @@ class Orders:
         if idle and verb is Verb.RESET and machine.mode is Mode.DISARMED:
             self._readback.forget()  # ARM reads all of it again
             self._readback.show()
-        situation = self._situation(t_ns, verb, values)
+        situation = self.checks.situation(t_ns, verb, values, waiting=self._waiting_verb)
         decision = modes.answer(machine.mode, verb, situation)
         if decision.refusal is not Refusal.NONE:
             named = decision.refusal is Refusal.PREFLIGHT and verb is not Verb.ARM
@@ -301,25 +280,13 @@ class Orders:
             if decision.ends:
                 self._reply(t_ns, id_, Refusal.NONE)
                 return
-        elif waiting is None and self._reads_first(verb, t_ns):
+        elif waiting is None and self.checks.reads_first(verb, t_ns):
             machine.end_trial(Refusal.ABORTED)
             self.trial = None
             self._waiting = _Waiting(id_, verb, values, t_ns, machine.mode)
             self._readback.begin_all(t_ns)
             return
         self._carry_out(id_, verb, values, situation, t_ns)
-
-    def _reads_first(self, verb: Verb, t_ns: int) -> bool:
-        """Every supervised object is read before this command, if it is accepted."""
-        machine, at = self._machine, self._machine.sequence
-        if at.pending or not (self._readback.size and self._verified_at_start):
-            return False
-        if verb is Verb.ARM:
-            return True
-        needs_motor = verb in modes.NEEDS_MOTOR and verb not in modes.CARRIES
-        if not needs_motor or machine.mode is not Mode.HOLD or not (at.armed and at.off):
-            return False
-        return self._recheck or t_ns - at.since_ns >= RECHECK_NS
 
     def _go_on_waiting(self, waiting: _Waiting, t_ns: int) -> None:
         """Carry the command out once everything is read back, or refuse; the other checks are evaluated again."""
@@ -329,69 +296,10 @@ class Orders:
         self._waiting = None
         self._readback.give_up()
         if verdict:
-            self._recheck = False
+            self.checks.checked()
             self._logbook.event(t_ns, Kind.READ_BACK, self._readback.size, value=(t_ns - waiting.since_ns) * 1e-9)
-        situation = self._situation(t_ns, waiting.verb, waiting.values, read=True)
+        situation = self.checks.situation(t_ns, waiting.verb, waiting.values, read=True)
         self._carry_out(waiting.id, waiting.verb, waiting.values, situation, t_ns, since_ns=waiting.since_ns)
-
-    def _situation(
-        self,
-        t_ns: int,
-        verb: Verb | None = None,
-        values: Mapping[str, float] = NO_VALUES,
-        *,
-        failing: Check | None = None,
-        read: bool = False,
-    ) -> Situation:
-        """What the answer to a command depends on now.
-
-        Args:
-            t_ns: now.
-            verb: of the command; None: of any.
-            values: of the command.
-            failing: the checks that bar arming, where they are known.
-            read: the supervised objects have just been read for the command.
-        """
-        machine, observer, settings, brake = self._machine, self._observer, self._settings, self._brake
-        snapshot = observer.snapshot
-        moves = machine.mode.moves_stroke  # no check and no cause is in the way of a command
-        if failing is None:
-            failing = Check(0) if moves else self.failed_checks(near_end=_near_end(verb, values))
-        stops = machine.sequence.action >= Action.QUICK_STOP or snapshot.drive_faulted
-        situation = Situation(
-            failed_checks=int(failing & ~arming.AWAITED_CHECKS),
-            causes=0 if moves else self._watch.blocking(snapshot),
-            stop_running=stops and not machine.sequence.carry_until_ns and arming.stop_running(snapshot),
-            fault=machine.fault,
-            moves=0 if settings.learning is None else settings.learning.moves,
-            stroke_mm=snapshot.stroke_mm if snapshot.drive_heard else math.nan,
-            armed=machine.sequence.armed,
-            carried_s=max(0, machine.sequence.carry_until_ns - t_ns) * 1e-9 if machine.sequence.carry_until_ns else 0.0,
-            e_stop=snapshot.e_stop != 0,
-            brake_fails=brake.fails,
-            sunk_mm=0.0 if observer.slack else self._armed_mm - snapshot.stroke_mm,
-            no_brake=settings.cylinder.brake_waiver is not None,
-            needed_n=brake.wanted_n if brake.fails and snapshot.tension_n < brake.wanted_n else 0.0,
-            at_rest=snapshot.still_ns >= STILL_NS,
-            room_mm=safety.payable_mm(snapshot.stroke_mm, settings.cylinder.stroke_min_mm),
-            strays=self._carried.strayed_mm != 0.0,
-            apart_mm=snapshot.sinking.apart_mm or self._carried.strayed_mm,
-            drive_faulted=snapshot.drive_faulted,
-            drive_unfit=snapshot.drive_faulted and snapshot.drive_emergency >> 8 & 0xFF in LASTING,
-            slack=observer.slack,
-            slack_doubted=brake.fails and self._rope.slack_in_doubt(snapshot),
-            unloaded=abs(observer.inbox.cell.reading_n) <= settings.tare_limit_n,
-            target_min_n=settings.tension.target_min_n,
-            target_max_n=settings.tension.target_max_n,
-            witness=self._carried.suits(self._watch.standing, snapshot) if brake.fails else Witness.BOTH,
-            pending=0 if self._waiting is None else self._waiting.verb,
-            read_at_arm=not read and self._reads_first(Verb.ARM, t_ns),
-            read_at_motor=not read and self._reads_first(Verb.TENSION, t_ns),
-            speed_mm_s=observer.inbox.drive.speed_mm_s,
-            drive_state=drive_state(observer.inbox.drive.statusword),
-            reading_n=observer.inbox.cell.reading_n,
-        )
-        return machine.under_way(situation, t_ns).given(values)
 
     def _carry_out(
         self, id_: int, verb: Verb, values: _Values, situation: Situation, t_ns: int, *, since_ns: int | None = None
@@ -405,7 +313,7 @@ class Orders:
         if refusal not in (None, Refusal.NONE):
             return
         done = refusal is Refusal.NONE
-        self._note_arm(verb)
+        self.checks.note(verb)
         if verb is Verb.ARM:  # while armed, the checks shown are those of the moment of arming
             self.shown_checks = situation.failed_checks
         self.trial, self.powered_until_ns = None, 0
@@ -423,18 +331,6 @@ class Orders:
             self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
         elif verb is Verb.CONFIRM_STROKE and done:
             self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
-
-    def _note_arm(self, verb: Verb) -> None:
-        if verb in _MOVES or self._observer.slack:
-            self._armed_mm = self._disarmed_mm = math.nan
-            return
-        stroke_mm = self._observer.snapshot.stroke_mm
-        if verb is Verb.DISARM:
-            self._disarmed_mm = stroke_mm
-        elif verb is Verb.ARM:
-            moved_mm = 0.0 if math.isnan(self._disarmed_mm) else stroke_mm - self._disarmed_mm
-            self._armed_mm = stroke_mm if math.isnan(self._armed_mm) else self._armed_mm + moved_mm
-            self._disarmed_mm = math.nan
 
     def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
         """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""
@@ -458,7 +354,7 @@ class Orders:
 
     def acknowledged(self, fault: Fault, t_ns: int) -> None:
         """A latched fault has been reset."""
-        self._recheck = True
+        self.checks.forget()
         self._carried.forget()
         self._logbook.event(t_ns, Kind.RESET, fault)
 
@@ -496,11 +392,6 @@ class Orders:
                 id_ ^ HOLD_ID,
                 HoldAnswer(t_ns, done, refusal, checks, machine.fault, stroke_mm, tension_n, machine.mode.name),
             )
-
-
-def _near_end(verb: Verb | None, values: Mapping[str, float]) -> bool:
-    """Whether a command is to drive away from an end of the stroke."""
-    return verb is Verb.ARM and values.get("near_end") == 1.0
 
 
 def _taken(given: Answer) -> dict[str, float]:

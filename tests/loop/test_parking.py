@@ -15,7 +15,7 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from rigctl.config.settings import RigSettings
-from rigctl.control import orders
+from rigctl.control import command_checks
 from rigctl.control.checks import Check
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
@@ -270,7 +270,7 @@ def test_a_load_parked_for_long_is_taken_back_after_a_read_back_of_every_object(
     assert not read_backs(parked), "a short park needs none"
     assert parked.command(Verb.HOLD) is Refusal.NONE
     parked.run(3.0)
-    monkeypatch.setattr(orders, "RECHECK_NS", 0)
+    monkeypatch.setattr(command_checks, "RECHECK_NS", 0)
     assert parked.command(Verb.TENSION) is Refusal.NONE
     assert read_backs(parked) == 1
 

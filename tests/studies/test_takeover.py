@@ -8,7 +8,7 @@ import pytest
 
 from hil.studies.roll_back.takeover import AGAIN_S, DRAWS, LIMIT_MM, TakenOver, Takeover, draw, taken_over
 from rigctl.config import rig_file as config
-from rigctl.control import orders
+from rigctl.control import command_checks
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
@@ -54,7 +54,7 @@ def test_without_a_preload_it_is_stated(gains: Gains, case: Takeover) -> None:
 
 @pytest.mark.study
 def test_a_read_back_of_every_object_is_in_that_time(gains: Gains, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(orders, "RECHECK_NS", 0)
+    monkeypatch.setattr(command_checks, "RECHECK_NS", 0)
     found = taken_over(SETTINGS, gains, DRAWN[0])
     assert found.ended == "TENSIONING"
     assert in_time(DRAWN[0], found), found

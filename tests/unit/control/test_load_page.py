@@ -10,10 +10,10 @@ from rigctl.control import load_at_rest
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS
 from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
+from rigctl.control.command_checks import RECHECK_NS
 from rigctl.control.ending import LIMIT_S, WAITS_NS
 from rigctl.control.faults import Trait, having
 from rigctl.control.modes import CARRY_S
-from rigctl.control.orders import RECHECK_NS
 from rigctl.control.parking import REST_NS, UNDO_MM
 from rigctl.control.power_seen import UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
