@@ -12,14 +12,20 @@ from rigctl.control.preload import Preload
 from rigctl.control.stroke_hold import SAID_MM, StrokeHold
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.drive import Power, next_controlword
+from rigctl.devices.objects import NmtState
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
+START_AGAIN_NS = 300_000_000  # a node has heard heartbeats of ours by then
+NEVER_NS = 1 << 62
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 
 
 class DriveCommand:
-    """Call ``send`` once a tick. A drive is switched on and off between commands of no speed, and off at standstill."""
+    """Call ``send`` once a tick. A drive is switched on and off between commands of no speed, and off at standstill.
+
+    ``start_again_ns``: when `start_again` is due.
+    """
 
     def __init__(
         self, settings: RigSettings, clock: Clock, machine: Machine, observer: Observer, outbox: Outbox,
@@ -28,6 +34,7 @@ class DriveCommand:
         self._clock, self._machine, self._observer, self._outbox = clock, machine, observer, outbox
         self._inbox: Inbox = observer.inbox
         self._law, self._stroke, self._preload = law, stroke, Preload(settings)
+        self.start_again_ns = 0
         self._off_until = 0  # the power of a drive that is to go off stays on until then, while the stroke moves
 
     @property
@@ -62,3 +69,16 @@ class DriveCommand:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
         held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= SAID_MM
         return (self.moves or unsafe) and t_ns < self._off_until and held
+
+    def start_again(self, t_ns: int) -> None:
+        """Repeat NMT start once to the nodes that are not operational, now that they have our heartbeats.
+
+        Not to one that has booted since its configuration: it has lost it.
+        """
+        first, self.start_again_ns = self.start_again_ns == 0, NEVER_NS
+        if first:
+            self.start_again_ns = t_ns + START_AGAIN_NS
+            return
+        for node, state in self._inbox.network.states.items():
+            if state == NmtState.PRE_OPERATIONAL and not self._inbox.network.restarted:
+                self._outbox.start(node)

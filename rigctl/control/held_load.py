@@ -8,6 +8,7 @@ from dataclasses import replace
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import BrakeFlag, KeptBrake
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
+from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
@@ -42,6 +43,7 @@ class HeldLoad:
         self._logbook, self._rope, self.stroke, self._tension = logbook, rope, stroke, tension
         self.brake, self.carried = BrakeFlag(settings, rope, kept_brake), CarriedLoad(settings, rope)
         self._parking, self.first_second = Parking(settings, stopping_ns(settings)), FirstSecond(settings)
+        self._escalator = Escalator(settings, stopping_ns(settings))
         self._moved_on_brake = False  # a load at rest on the brake has moved since
 
     def latch_anew(self) -> None:
@@ -115,6 +117,20 @@ class HeldLoad:
             self.carried.begin(Witness.BOTH, self._watch.standing, self._observer.snapshot)
         first.end()
         return trip if undone else None
+
+    def escalate(self, t_ns: int) -> None:
+        """Follow a reaction that has not helped against the latched fault by the next stronger one."""
+        machine, slack = self._machine, self._observer.slack
+        if machine.fault is not Fault.NONE and self.on_motor:  # what ends that is decided by `_trip_of_carried`
+            return
+        over = machine.sequence.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
+        action = Action.HOLD if over else machine.sequence.action
+        found = self._escalator.look(machine.fault, action, self._observer.snapshot, t_ns)
+        if found is not None:
+            text = b"brake fails" if self.brake.fails else b""
+            self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit, text)
+            if found.trip is not None:
+                machine.trip(found.trip, t_ns, slack=slack)
 
     def look_at_brake(self, t_ns: int, trip: Trip | None) -> Trip | None:
         """Whether the brake is known not to hold; returns what trips then of what trips now."""

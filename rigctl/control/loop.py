@@ -13,7 +13,6 @@ from rigctl.control.cell_correction import CellHistory
 from rigctl.control.clock import Clock
 from rigctl.control.drive_command import STOP_LIMIT_NS, DriveCommand
 from rigctl.control.ending import Ending
-from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
 from rigctl.control.faults import Fault
 from rigctl.control.gain_table import GainTable
@@ -43,13 +42,11 @@ from rigctl.control.stroke_hold import StrokeHold
 from rigctl.control.stroke_motion import StrokeMotion
 from rigctl.control.tension import Estimate, Gains, TensionLaw
 from rigctl.devices.drive import LeftInDrive, Power, next_controlword
-from rigctl.devices.objects import NmtState, drive_state
+from rigctl.devices.objects import drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
 
-START_AGAIN_NS = 300_000_000  # a node has heard heartbeats of ours by then
-NEVER_NS = 1 << 62
 COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
@@ -106,26 +103,20 @@ class Loop:
         self._signs = SignCheck(settings)
         stroke, tension = StrokeHold(settings), HeldTension(settings)
         frequency_trial.prepare(settings)
-        self._probe = (
-            LoopProbe(settings, plan(settings, gains), self.inbox.drive.quantum_mm)
-            if law is None
-            else NoProbe(settings)
-        )
+        quantum_mm = self.inbox.drive.quantum_mm
+        self._probe = LoopProbe(settings, plan(settings, gains), quantum_mm) if law is None else NoProbe(settings)
         self._rope = RopeMemory(settings)
         self.observer = Observer(
             settings, self.inbox, self.outbox, self.machine, self.law, self.homed, self.readback, stroke,
             tension, self._signs, self._probe, self._rope,
         )  # fmt: skip
+        self.finished = self.stop_requested = False
         self.exceptions_untold = 0
-        self.finished = False
-        self.stop_requested = False
-        self.repeated_stops = 0
-        """Requests to end after the first: the next one leaves a load that delays the end."""
+        self.repeated_stops = 0  # requests to end after the first: the next one leaves a load that delays the end
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
         self._watch = Watch(settings, limit_rows(settings))
         self._ending = Ending(settings)
-        self._escalator = Escalator(settings, stopping_ns(settings))
         self._tripped: Trip | None = None  # not in a record yet, as is what the machine has done
         self._done = NOTHING
         self._logbook = logbook = Logbook(settings, rings)
@@ -144,8 +135,7 @@ class Loop:
             settings, self.machine, self.observer, self.law, logbook, self._orders, load, self._signs, self._probe,
             self.learning, GainTable.of(settings, gains) if law is None else None,
         )  # fmt: skip
-        self._work_ns = self._start_again_ns = 0
-        self._failing = self._tick = 0  # ticks in a row that ended in an exception; the tick's number
+        self._work_ns = self._failing = self._tick = 0  # of a tick; ticks in a row that failed; the tick's number
         logbook.event(started_ns, Kind.STARTED, rings.commands.cursor, rings.holds.head)
         for index, value, left in found:
             logbook.event(started_ns, Kind.FOUND_AT_START, settings.cylinder.node, index << 8, value, left)
@@ -208,7 +198,7 @@ class Loop:
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
             self._tripped = trip
             self._logbook.trip(t_ns, Kind.TRIP, trip)
-        self._escalate(t_ns)
+        held.escalate(t_ns)
         self._take_orders(t_ns)
         if self.stop_requested and not machine.sequence.ends:
             self._end(t_ns)
@@ -269,8 +259,8 @@ class Loop:
         request = self.readback.request(t_ns, armed=machine.mode is not Mode.DISARMED)
         if request is not None and not outbox.request(*request):
             self.readback.unsent()
-        if t_ns >= self._start_again_ns:
-            self._start_again(t_ns)
+        if t_ns >= self._drive.start_again_ns:
+            self._drive.start_again(t_ns)
 
     def _be_silent(self, t_ns: int) -> None:
         """Leave the drive to its own supervision, until a start anew is accepted."""
@@ -279,19 +269,6 @@ class Loop:
         if self.machine.sequence.anew:
             self.finished = True
             self._logbook.event(t_ns, Kind.START_ANEW, self.machine.fault)
-
-    def _start_again(self, t_ns: int) -> None:
-        """Repeat NMT start once to the nodes that are not operational, now that they have our heartbeats.
-
-        Not to one that has booted since its configuration: it has lost it.
-        """
-        first, self._start_again_ns = self._start_again_ns == 0, NEVER_NS
-        if first:
-            self._start_again_ns = t_ns + START_AGAIN_NS
-            return
-        for node, state in self.inbox.network.states.items():
-            if state == NmtState.PRE_OPERATIONAL and not self.inbox.network.restarted:
-                self.outbox.start(node)
 
     def _record(self, t_ns: int, woke_ns: int) -> None:
         logbook, machine = self._logbook, self.machine
@@ -331,20 +308,6 @@ class Loop:
             logbook.notice(t_ns, Kind.CLOCK, skipped, 0)
 
     # -- what the tick is made of -------------------------------------------------------------------------------
-    def _escalate(self, t_ns: int) -> None:
-        """Follow a reaction that has not helped against the latched fault by the next stronger one."""
-        machine, slack = self.machine, self.observer.slack
-        if machine.fault is not Fault.NONE and self._load.on_motor:  # what ends that is decided by `_trip_of_carried`
-            return
-        over = machine.sequence.action is Action.RAMP_DOWN and machine.mode is Mode.FAULT
-        action = Action.HOLD if over else machine.sequence.action
-        found = self._escalator.look(machine.fault, action, self.observer.snapshot, t_ns)
-        if found is not None:
-            text = b"brake fails" if self.brake.fails else b""
-            self._logbook.event(t_ns, Kind.ESCALATION, found.fault, found.symptom, found.value, found.limit, text)
-            if found.trip is not None:
-                machine.trip(found.trip, t_ns, slack=slack)
-
     def _end(self, t_ns: int) -> None:
         """End as requested: at once, or when the motor has lowered a load that the brake does not hold."""
         machine, ending, before = self.machine, self._ending, self._ending.step

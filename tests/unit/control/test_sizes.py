@@ -11,8 +11,8 @@ CONTROL = ROOT / "rigctl/control"
 FUNCTION = 25
 """Lines of a function of the tick, but of the constructor, which builds its parts."""
 CLASS = 300
-LONGER = {"Loop": 334, "Orders": 334}
-"""Classes that are not that short yet."""
+LONGER = {"Orders": 334}
+"""Classes that are not that short yet; that of the orders has until their rows are in a table."""
 
 
 def lines(node: ast.FunctionDef | ast.ClassDef) -> int:
