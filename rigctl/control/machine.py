@@ -183,14 +183,9 @@ class Machine:
         )
 
     def command(
-        self,
-        id_: int,
-        verb: Verb,
-        situation: Situation,
-        t_ns: int,
-        values: Mapping[str, float] = NO_VALUES,
+        self, id_: int, verb: Verb, situation: Situation, t_ns: int, values: Mapping[str, float] = NO_VALUES,
         since_ns: int | None = None,
-    ) -> Refusal | None:
+    ) -> Refusal | None:  # fmt: skip
         """Take an operator's command; returns its refusal, None if the answer comes later (ARM waits for the drive).
 
         ``since_ns``: when it came, if it has waited for the read-back. A command that is refused touches nothing that
