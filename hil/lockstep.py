@@ -22,13 +22,15 @@ from rigctl.control.homed import LastStroke
 from rigctl.control.last_stroke import brake_of
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
-from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.memory_folder import memory_folder
 from rigctl.ipc.record import HOLD_ID
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 
 START_NS = 1_000_000_000
 STARTING_NS = 500_000_000  # devices that answer at once are up by START_NS
@@ -155,7 +157,7 @@ class Lockstep:
 
     @property
     def record(self) -> Any:
-        """The newest record, by the names of `rigctl.config.signals`; None before the first tick."""
+        """The newest record, by the names of `rigctl.model.signals`; None before the first tick."""
         return self._records.latest()
 
     def tick(self) -> None:
@@ -236,7 +238,7 @@ class Lockstep:
     def give(self, verb: Verb | Setting, *values: float, age_ns: int = 0) -> int:
         """Put a command on the ring for the next tick, without waiting for the reply; returns its id.
 
-        ``values``: in the order of `rigctl.control.modes.VALUES`; 0 by default.
+        ``values``: in the order of `rigctl.model.verbs.VALUES`; 0 by default.
         """
         self._id += 1
         self._commands.write(*command_slot(self.clock.now() - age_ns, self._id, verb, *(values or (0.0,))))

@@ -25,8 +25,8 @@ from PIL import Image
 from playwright.sync_api import Browser
 
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import Event, Mode
 from tests.builders import daemons
 from tests.builders.exclusions import contradictions
 from tests.builders.page_states import LOCK_OUT, Shown, charted, event, page_of, picture_of, state, tripped

@@ -14,7 +14,7 @@ from hil.faults.judge import FaultResult
 from hil.faults.rows_parked import PARKED as PARKED_MODES
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 NAMES = (*(fault.id for fault in CATALOGUE), *(fault.id for fault in processes.CATALOGUE))
 DIAGNOSED = (Mode.COMPENSATING.name, Mode.HOLD.name)

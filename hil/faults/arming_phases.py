@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
-from rigctl.control.modes import Verb
+from rigctl.model.verbs import Verb
 
 LONGEST_S = 6.0
 """Read-back, standstill, brake test and the drive's own time."""

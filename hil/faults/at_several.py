@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from hil.faults.stand import FaultPlace, Injector, Stand, Step, parts_of
-from rigctl.control.modes import Setting, Verb
+from rigctl.model.verbs import Setting, Verb
 
 
 def in_turn(*parts: tuple[float, Injector]) -> Injector:

@@ -10,8 +10,8 @@ from enum import StrEnum
 from hil.faults.stand import FaultPlace, Injector, Needs
 from hil.plant.inputs import Track
 from rigctl.config.settings_base import Settings
-from rigctl.control.modes import Mode
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
 
 
 class Reaction(StrEnum):

@@ -15,8 +15,8 @@ from rigctl.client.connection import Client
 from rigctl.client.samples import Blocks
 from rigctl.config import quantity
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.ipc.ring import RingReader
+from rigctl.model.states import Mode
 
 QUIET_S = 15.0
 """Time without kills, before and after: enough ticks for the 99.9th percentile."""

@@ -8,10 +8,10 @@ from functools import partial
 
 from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
 from hil.lockstep import Lockstep
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.diagnosis.part import Part
+from rigctl.model.faults import Fault
+from rigctl.model.verbs import Verb
 
 _of = partial(Injector, FaultPlace.CONTROLLER, needs=Needs.LOOP)
 _COMPUTER = (Part.COMPUTER,)

@@ -15,8 +15,9 @@ from hil.faults.statements import false_statements
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 STANDS_MM = 0.1
 """A held stroke moves less than this once it has come to rest ..."""

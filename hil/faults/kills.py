@@ -14,7 +14,7 @@ from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveErr
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 SEED = 1
 SHARES = ((CONTROL, 0.5), (GATEWAY, 0.3), (SUPERVISOR, 0.2))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 KNOWN_MISSES: Mapping[tuple[str, Mode], Mapping[str, str]] = {
     ("torque_lost", Mode.FAULT): {

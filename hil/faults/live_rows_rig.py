@@ -24,13 +24,13 @@ from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.demo import live_rig
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 OPERATOR = "faults"
 START_S = 60.0

@@ -13,8 +13,8 @@ from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
+from rigctl.model.states import Mode
 
 _ROWS_PER_WORKER = 12
 """A process takes as long to start as a few rows to play."""

@@ -24,8 +24,9 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.events import Kind
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 Floats = npt.NDArray[np.float64]
 SEED = "faults"

@@ -14,8 +14,8 @@ from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
+from rigctl.model.states import Mode
 
 _bench: list[Bench] = []
 """The bench of this process."""

@@ -15,10 +15,10 @@ import numpy.typing as npt
 from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Run
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.diagnosis.diagnose import Culprit, diagnose
 from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE, Part
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, around, noted, trips
+from rigctl.model.states import Mode
 
 RIGHT_SHARE, TWO_SHARE = 0.9, 0.2
 """Of the rows that trip: at least so many right or with the right one of two, at most so many with two."""

@@ -11,8 +11,9 @@ from hil.faults.expected import ACCURACY_N, Around, Expected, InjectedFault, Rea
 from hil.faults.in_device import CELL, SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.situation import Witness
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 _LATER_S = 6.0
 """The first fault has been found, the drive is off, the load is at rest, and two seconds have shown it."""

@@ -12,9 +12,10 @@ from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.situation import Witness
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 _LATER_S = 3.0
 """After the parking and its first second."""

@@ -11,10 +11,11 @@ from hil.faults.arming_phases import BRAKE_TEST, PHASES
 from hil.faults.expected import ARMED, DRIVE_MS, POWER_OFF, RIDE, Around, Expected, InjectedFault, Reaction
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode, Verb
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState, EmcyCode
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 _SOON = ("hold.park_s", 0.5)
 """HOLD needs the drive's obedience when the brake takes the load: soon, so that a row is short."""

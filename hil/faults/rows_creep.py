@@ -10,7 +10,7 @@ from hil.faults import in_device, on_bus
 from hil.faults.expected import ARMED, DRIVE_MS, POWER_OFF, RIDE, Around, Expected, InjectedFault, Reaction
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 HELD_MM = 1.0
 """A stroke that has to stay in place moves at most this far before it is corrected, or its brake closed."""

@@ -19,8 +19,8 @@ from hil.faults.expected import (
     Reaction,
 )
 from hil.faults.in_device import SPEED, STATUS, STROKE, both, reads, says, stuck
-from rigctl.control.modes import Mode
 from rigctl.devices import objects
+from rigctl.model.states import Mode
 
 STATUS_SILENT_MS = 310.0
 """Five periods of 50 ms, up to one since the last message, and a tick or two."""

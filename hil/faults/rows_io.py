@@ -9,7 +9,7 @@ from hil.faults.bus_devices import IO_NODE
 from hil.faults.expected import ARMED, DRIVE_MS, MOVING, PRESSED, RIDE, Around, InjectedFault, Reaction
 from rigctl.config.io_section import IoSettings
 from rigctl.config.rail_sections import RailEncoderSettings
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 FITTED = IO_NODE.around
 WIRED = Around(change=(("io", IoSettings(e_stop_input=0, drive_enable_output=0, drive_off_input=1)),))

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from hil.faults.expected import Expected, InjectedFault, Reaction
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 PARKED = {"HOLD_PARKED": Mode.HOLD, "FAULT_PARKED": Mode.FAULT}
 """Names of ``--mode`` for a mode in which the brake holds the load."""

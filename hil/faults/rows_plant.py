@@ -6,8 +6,9 @@ from functools import partial
 
 from hil.faults import in_controller, in_plant
 from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, InjectedFault, Reaction
-from rigctl.control.modes import Mode, Verb
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 _load_lost = partial(InjectedFault, band_n=350, carried=False)
 """The load is off the rope."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.faults import in_device
 from hil.faults.expected import Around, Expected, InjectedFault, Reaction
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 TENTH_N = 30.0
 """A tenth of the target: what a cell that does not measure may do unseen."""

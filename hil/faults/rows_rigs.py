@@ -8,8 +8,8 @@ from hil.faults import in_device, on_bus
 from hil.faults.expected import DRIVE_MS, Around, Expected, InjectedFault, Reaction
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads
 from hil.faults.stand import Injector
-from rigctl.control.modes import Mode
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
 
 _MODES = (Mode.HOLD, Mode.COMPENSATING)
 _WAIVED = ("safety.waiver", "a study of a rig of its own: no load hangs on it")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.faults import in_device, on_bus
 from hil.faults.expected import HOLD, RIDE, Around, InjectedFault, Reaction
 from rigctl.config.second_force_section import SecondForceSettings
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 FITTED = Around(
     change=(("second_force", SecondForceSettings(kind="cell", zero_n=0.0, u_n=0.1, cell_u_n=0.2, disagree_n=1.0)),)

@@ -18,8 +18,8 @@ from hil.faults.expected import (
     Reaction,
 )
 from hil.faults.in_device import CELL, CELL_STATUS, LATERAL, LONG, both, reads, says, stuck
-from rigctl.control.modes import Mode
 from rigctl.devices.objects import SLOPE_INVALID, AiStatus
+from rigctl.model.states import Mode
 
 G = 9.80665
 WAY_N = 90.0

@@ -13,7 +13,8 @@ from hil.faults.in_device import CELL, SPEED, STROKE, both, reads
 from hil.faults.stand import Injector
 from rigctl.config.settings import LearningSettings
 from rigctl.config.settings_base import Settings
-from rigctl.control.modes import Mode, Setting, Verb
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Setting, Verb
 
 _WATCHED_S = 1.5
 _PARKS_AT_ONCE, _LONG = ("hold.park_s", 0.5), ("hold.park_s", 30.0)

@@ -20,9 +20,10 @@ from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.plant import Plant
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.devices import objects
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 
 WAKE_S = 0.2
 SETTLE_S = 0.6

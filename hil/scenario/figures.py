@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.scenario.play import Played
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import Flag
 from rigctl.metrics.tension_error import error_pct
+from rigctl.model.states import Mode
 
 Floats = npt.NDArray[np.float64]
 Values = dict[str, float | None]

@@ -16,15 +16,16 @@ from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.loop import LawFactory
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.design.verdict import Design
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.runtime_folder import RoomError
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"

@@ -22,10 +22,11 @@ from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE, Truth
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.design.verdict import Design
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 
 WAKE_S = 0.2

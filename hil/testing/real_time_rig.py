@@ -18,9 +18,9 @@ from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE
 from hil.truth import read as read_truth
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Verb
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.verbs import Verb
 from rigctl.recorder import recording
 
 OPERATOR = "test"

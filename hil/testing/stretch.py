@@ -15,8 +15,8 @@ from hil.scenario.format import Scenario
 from hil.scenario.play import Ended, Played
 from hil.scenario.plot import plot
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 if TYPE_CHECKING:
     import pandas as pd

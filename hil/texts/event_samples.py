@@ -8,18 +8,18 @@ from enum import IntEnum, IntFlag
 from itertools import product
 from typing import NamedTuple
 
-from rigctl.config.signals import WATCHED
 from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind, Unmeasured
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
 from rigctl.devices import emergency
 from rigctl.devices.objects import STATUSWORD, DriveState
 from rigctl.ipc.record import NEVER_AGE_NS
+from rigctl.model.faults import Fault
+from rigctl.model.signals import WATCHED
+from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
 
 
 class EventSample(NamedTuple):

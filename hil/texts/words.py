@@ -10,11 +10,12 @@ from types import MappingProxyType
 from hil.texts import event_samples
 from hil.texts.event_samples import in_name
 from rigctl.control import events
-from rigctl.control.checks import Check
-from rigctl.control.faults import Fault, Trait
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices.objects import DriveState
 from rigctl.ipc import notes, supervision
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault, Trait
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 Named = Iterator[tuple[str, str]]
 _LIMITS_N = (50.0, 350.0)

@@ -18,9 +18,9 @@ from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from hil.ways_out.step_follower import End, StepFollower
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
 
 SETTLES_S = 4.0
 """After its seconds: a load that is held comes on the brake, and is seen at rest."""

@@ -12,8 +12,6 @@ from hil.faults.stand import Step
 from hil.lockstep import Lockstep
 from hil.ways_out.offer_check import misoffered
 from rigctl.commission.preflight import PreflightVerdict
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.situation import Witness
 from rigctl.devices.startup import StartupError
@@ -22,6 +20,9 @@ from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.operator_view import view
 from rigctl.wire.trust import doubts

@@ -14,10 +14,11 @@ import numpy as np
 
 from rigctl.bench import cyclictest
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Verb
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics import tension_error as metrics
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 OPERATOR = "bench"
 ROUNDS = 3

@@ -13,13 +13,13 @@ from rigctl.config.bounds import Stop, findings
 from rigctl.config.quantity import count, significant, unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
-from rigctl.config.signals import WATCHED
 from rigctl.config.telemetry_section import open_listen
 from rigctl.control import held_tension, limits, safety, take_up
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.design.verdict import Design
 from rigctl.devices import busload
+from rigctl.model.faults import Fault
+from rigctl.model.signals import WATCHED
+from rigctl.model.states import Mode
 
 NARROW = 72
 """Columns below which meaning and unit are left out, so that the values fit; the key ends in its unit."""

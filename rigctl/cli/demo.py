@@ -8,12 +8,12 @@ from rich.console import Console
 from rich.table import Table
 
 from rigctl.config.settings import DemoSettings, RigSettings
-from rigctl.control.modes import Mode
 from rigctl.demo.live_rig import own
 from rigctl.demo.script import Moment, PausedError, Show
 from rigctl.demo.summary import Summary, rows
 from rigctl.ipc.runtime_folder import daemons
 from rigctl.metrics.tension_error import error_pct
+from rigctl.model.states import Mode
 
 GIVES_WAY = 20
 """Priorities below a daemon's loop; the simulated rig runs 10 below the loop it serves."""

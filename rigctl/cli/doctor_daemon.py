@@ -14,8 +14,8 @@ from rigctl import __version__
 from rigctl.cli.doctor_host import DoctorFinding, fails, good, warning
 from rigctl.commission import preflight
 from rigctl.config.settings import LoopSettings, RigSettings
-from rigctl.control.checks import Check
 from rigctl.ipc import ledger
+from rigctl.model.checks import Check
 
 TRY_S = 20.0
 TITLES: dict[Check, str] = {

@@ -199,7 +199,7 @@ def _document(found: Against) -> dict[str, Any]:
 
 
 def _fault(number: int) -> str:
-    from rigctl.control.faults import Fault
+    from rigctl.model.faults import Fault
 
     return Fault(number).name
 

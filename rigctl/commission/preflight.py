@@ -1,7 +1,7 @@
 """The host checks, the part of the preflight the loop cannot make itself: files, margins, real time, disk space.
 
 The gateway judges them in a separate thread, because a disk may be slow, twice a second and more often while a check
-fails. The loop gets the result when it changes and before every ARM (`rigctl.control.modes.Setting.HOST_CHECKS`).
+fails. The loop gets the result when it changes and before every ARM (`rigctl.model.verbs.Setting.HOST_CHECKS`).
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import msgspec
 
 from rigctl.config import layout
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc import ledger, wall_clock
 from rigctl.ipc.ledger import Standing, moment
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.model.checks import HOST_CHECKS, Check
 
 CONTROL = "control.json"
 LOOK_S, LOOK_AGAIN_S = 0.5, 0.1  # interval of the checks, normally and while one fails

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rigctl.config.quantity import unit_of
-from rigctl.config.signals import WATCHED
+from rigctl.model.signals import WATCHED
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings

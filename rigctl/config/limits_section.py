@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 from pydantic import Field, model_validator
 
 from rigctl.config.settings_base import Settings, require
-from rigctl.config.signals import WATCHED
+from rigctl.model.signals import WATCHED
 
 ModeName = Literal["DISARMED", "HOLD", "TENSIONING", "COMPENSATING", "RELEASING", "FAULT"]
 if TYPE_CHECKING:

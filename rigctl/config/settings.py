@@ -32,9 +32,9 @@ from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.sensor_sections import InclinometerSettings, PlainMessages, TensionCellSettings
 from rigctl.config.settings_base import CanopenDevice, Settings, Waiver, require
-from rigctl.config.signals import STATUS, WATCHED
 from rigctl.config.simulation_section import SimulationSettings
 from rigctl.config.telemetry_section import TelemetrySettings
+from rigctl.model.signals import STATUS, WATCHED
 
 ADDED = frozenset({"directory", "plain"})  # settings that ``load`` adds to those of the file
 _LARGEST_RAW = 2**31 - 1  # of the target velocity, 0x60FF

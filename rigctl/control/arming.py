@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from enum import Enum, auto
 from typing import NamedTuple
 
-from rigctl.control.checks import Check
 from rigctl.control.power_seen import STILL_NS
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.checks import Check
 
 AWAIT_NS = 2_000_000_000
 """Longest wait of an accepted ARM; the longest stop a rig file may have is shorter."""

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.control.held_tension import fall_limit_n
 from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.sinking import JUMP_MM
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault, Trait, bits_of, having
 
 MOVED_MM = 0.2
 """Net motion on the closed brake since the last commanded motion: more than play, wind-up and a toggling count make."""

@@ -9,9 +9,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, safety
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
-from rigctl.control.checks import Check
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.observer import Observer
 from rigctl.control.power_seen import STILL_NS
 from rigctl.control.readback import Readback
@@ -22,6 +20,9 @@ from rigctl.control.situation import Situation, Witness
 from rigctl.control.stage import NO_VALUES, Accepted
 from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
+from rigctl.model.checks import Check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 RECHECK_NS = 600_000_000_000
 """A load that has been on the brake for longer, or since a fault, is taken back after a read-back of every object."""

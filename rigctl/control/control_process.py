@@ -22,7 +22,6 @@ from pydantic import ValidationError
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke, realtime
 from rigctl.control.cell_correction import cell_history
-from rigctl.control.checks import Check
 from rigctl.control.clock import GridClock, SimulatedClock
 from rigctl.control.gain_table import ScheduledGains
 from rigctl.control.hold_sockets import HoldSockets, prepared
@@ -36,6 +35,7 @@ from rigctl.devices.process_data import COMMAND, ProcessData
 from rigctl.ipc.ledger import in_force
 from rigctl.ipc.runtime_folder import REFUSED, WAITS, FolderError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
+from rigctl.model.checks import Check
 
 WARM_UP_TICKS = 50
 # Other interfaces filter in python-can, where a refused frame ends a drain and old samples would pile up behind it.

@@ -9,11 +9,13 @@ from rigctl.control.arming import AWAIT_NS
 from rigctl.control.drive_command import SAFE_FRAMES, STOP_LIMIT_NS
 from rigctl.control.escalation import STEPS
 from rigctl.control.machine import SUPERVISED_NS
-from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Event, Guard, Mode, Refusal, Verb, decide
+from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Guard, decide
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS
 from rigctl.control.safety import Action
 from rigctl.control.situation import Situation
 from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
+from rigctl.model.states import Event, Mode
+from rigctl.model.verbs import Refusal, Verb
 
 _HEAD = f"""\
 # Modes

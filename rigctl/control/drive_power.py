@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rigctl.control.modes import DrivePower
 from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, DriveState, drive_state
+from rigctl.model.states import DrivePower
 
 CURRENT_SHARE = 0.05
 """Of the motor's rated current: more shows power, less shows nothing."""

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.machine import SUPERVISED_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Trip
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
+from rigctl.model.faults import Fault
 
 _MS = 1_000_000
 RISE_MM = 0.5  # of stretch: a held stroke adds none

@@ -9,13 +9,10 @@ from enum import IntEnum
 from types import MappingProxyType
 
 from rigctl.config.quantity import Number, count, significant
-from rigctl.config.signals import WATCHED
-from rigctl.control.checks import Check
 from rigctl.control.ending import EndStep
 from rigctl.control.escalation import Symptom
-from rigctl.control.faults import Fault, Trait, faults_of
 from rigctl.control.homed import TOLERANCE_MM
-from rigctl.control.modes import CARRY_S, TRIED_IN, Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
+from rigctl.control.modes import CARRY_S, TRIED_IN
 from rigctl.control.safety import LINGERS, MOVES_OFF, POSITION, RUNAWAY, SPEED, STROKE_SPARE_MM, Action
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import EStop
@@ -23,6 +20,11 @@ from rigctl.control.stage import OFF_LIMIT_NS
 from rigctl.devices import can_errors, emergency
 from rigctl.devices.objects import STATUSWORD, DriveState
 from rigctl.ipc.record import NEVER_AGE_NS
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault, Trait, faults_of
+from rigctl.model.signals import WATCHED
+from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.verbs import Refusal, Verb
 
 
 class Kind(IntEnum):
@@ -66,11 +68,11 @@ class Kind(IntEnum):
     MOVE = 80  # a: number of the move that begins, 0: the one under way has ended, b: moves its table was learnt from
     LEARNT = 81  # a: number, b: moves learnt from, value: rms error of this move in N, limit: of the first in N
     NOT_LEARNT = 82  # as LEARNT, text: why the move taught nothing; b 0: its table is dropped
-    HELD = 100  # a: from, b: to, see rigctl.control.modes.HeldBy; value: longest time in s for which the motor holds,
+    HELD = 100  # a: from, b: to, see rigctl.model.states.HeldBy; value: longest time in s for which the motor holds,
     # 0: hold.park_s; text: the command that needs it, or the mode
     POWER_OFF = 102  # a: see rigctl.control.power_off.PowerOff, value: time since the command in s,
     # b: 1 the brake is known not to hold
-    LOAD_AT_REST = 103  # a: from, b: to, see rigctl.control.modes.LoadAtRest, on the closed brake; text: mode
+    LOAD_AT_REST = 103  # a: from, b: to, see rigctl.model.states.LoadAtRest, on the closed brake; text: mode
     NO_MARGINS = 101  # a: why, see Unmeasured
     MARGINS_DIFFER = 104  # value: |S| as measured, limit: the nearest that the design's family has
     LOCAL_HOLD = 65  # a: user, b: process it came from, text: operator; its result is in the reply

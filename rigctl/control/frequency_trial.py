@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
-from rigctl.control.modes import Refusal
 from rigctl.control.multisine import Band, Multisine, multisine
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.verbs import Refusal
 
 PERIOD_S, HIGHEST_HZ, RATIO = 4.0, 60.0, 1.25
 PERIODS = 12

@@ -10,11 +10,9 @@ from rigctl.control.brake_flag import BrakeFlag, KeptBrake
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.escalation import Escalator
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import SLIP_BITS, Machine
-from rigctl.control.modes import HeldBy, Mode, PowerOff
 from rigctl.control.observer import Observer
 from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
 from rigctl.control.power_seen import stopping_ns
@@ -26,6 +24,8 @@ from rigctl.control.stage import KEPT, KEPT_NS, TickSeen
 from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.control.trials import Trial
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode, PowerOff
 
 _MOVES_BIT = Fault.STROKE_MOVES.bit
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})

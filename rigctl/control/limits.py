@@ -7,11 +7,11 @@ from collections.abc import Callable
 
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
-from rigctl.config.signals import INCLINOMETER, STATUS, WATCHED, Reading
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.control.safety import ARMED, UNHEARD_NS, Action, Row, status_stale_ns
 from rigctl.control.snapshot import FieldValue, Snapshot
+from rigctl.model.faults import Fault
+from rigctl.model.signals import INCLINOMETER, STATUS, WATCHED, Reading
+from rigctl.model.states import Mode
 
 RATE_S = 0.02  # low-pass of a signal before its rate is taken
 _GAP_NS = 100_000_000

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Trait, bits_of, having
-from rigctl.control.modes import REST_S, LoadAtRest
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Trait, bits_of, having
+from rigctl.model.states import REST_S, LoadAtRest
 
 REST_NS = round(REST_S * 1e9)
 REST_MM = 0.1  # of stretch: in 2 s a motor moves more at 0.05 mm/s

@@ -12,7 +12,6 @@ from rigctl.control.hold_sockets import Hold
 from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox
 from rigctl.control.machine import Change, Machine
-from rigctl.control.modes import HeldBy, Refusal
 from rigctl.control.move_learning import News
 from rigctl.control.network_state import Notices
 from rigctl.control.observer import Observer
@@ -28,6 +27,8 @@ from rigctl.ipc.hold_socket import NAME_BYTES
 from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Flag, Quality, Slot
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import HeldBy
+from rigctl.model.verbs import Refusal
 
 NOTICE_NS = 1_000_000_000
 NOTICES_KEPT = 64

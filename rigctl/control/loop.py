@@ -14,7 +14,6 @@ from rigctl.control.clock import Clock
 from rigctl.control.drive_command import STOP_LIMIT_NS, DriveCommand
 from rigctl.control.ending import Ending
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.control.gain_table import GainTable
 from rigctl.control.held_load import HeldLoad
 from rigctl.control.held_tension import HeldTension
@@ -25,7 +24,6 @@ from rigctl.control.limits import rows as limit_rows
 from rigctl.control.logbook import Logbook, Rings, number
 from rigctl.control.loop_probe import LoopProbe, NoProbe
 from rigctl.control.machine import NOTHING, Machine, Outcome
-from rigctl.control.modes import HeldBy, Mode, PowerOff, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
@@ -46,6 +44,9 @@ from rigctl.devices.objects import drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode, PowerOff
+from rigctl.model.verbs import Verb
 
 COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
@@ -82,7 +83,7 @@ class Loop:
     ) -> None:
         """``supervised``: start-up has verified that the drive stops by itself when we go silent.
 
-        ``host_checks``: failing bits of `rigctl.control.checks.HOST_CHECKS`, until the gateway sends newer ones.
+        ``host_checks``: failing bits of `rigctl.model.checks.HOST_CHECKS`, until the gateway sends newer ones.
         ``law``: makes another law for comparison with ours; the law may read the inbox.
         ``correction``: of the tension cell, from the ledger. ``watched``: objects start-up has verified in the devices.
         ``found``: what a former controller had left in the drive, for the record.

@@ -11,8 +11,6 @@ from typing import NamedTuple
 
 from rigctl.control import arming, modes, stage
 from rigctl.control.arming import Preparation
-from rigctl.control.faults import Fault, Trait, bits_of, having
-from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
 from rigctl.control.stage import (
@@ -28,6 +26,9 @@ from rigctl.control.stage import (
     TickSeen,
 )
 from rigctl.devices.drive import Power
+from rigctl.model.faults import Fault, Trait, bits_of, having
+from rigctl.model.states import Event, Mode
+from rigctl.model.verbs import Refusal, Verb
 
 SLIP_BITS = bits_of(having(Trait.MOTOR_MAY_CARRY))
 SUPERVISED_NS = 2_000_000_000

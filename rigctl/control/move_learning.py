@@ -23,8 +23,8 @@ from array import array
 from typing import NamedTuple
 
 from rigctl.config.settings import LearningSettings, RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains, TensionLaw
+from rigctl.model.states import Mode
 
 STEP_S = 0.01
 """Between two points of a table."""

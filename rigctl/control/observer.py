@@ -16,7 +16,6 @@ from rigctl.control.inclination import InclinationFilter, Stretch
 from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Mode
 from rigctl.control.outbox import Outbox
 from rigctl.control.plausibility import Plausibility
 from rigctl.control.power_off import PowerOffWatch
@@ -48,6 +47,7 @@ from rigctl.devices.objects import (
 )
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.record import Flag
+from rigctl.model.states import Mode
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value

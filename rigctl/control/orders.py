@@ -12,15 +12,12 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import arming, modes, trials
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
-from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.command_checks import CommandChecks
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
@@ -33,9 +30,13 @@ from rigctl.control.tension import TensionLaw
 from rigctl.devices.objects import drive_state
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
+from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
-_Values = dict[str, float]  # of a command, by the names in `modes.VALUES`
+_Values = dict[str, float]  # of a command, by the names in `VALUES`
 
 
 class _Waiting(NamedTuple):
@@ -108,7 +109,7 @@ class Orders:
     def take(self, slot: object, t_ns: int) -> bool:
         """Take one slot of the command ring; returns whether an operator gave it."""
         given_ns, id_, code = (slot[name].item() for name in ("t_ns", "id", "verb"))  # type: ignore[index]
-        values = {name: slot[name].item() for name in modes.VALUES.get(code, ())}  # type: ignore[index]
+        values = {name: slot[name].item() for name in VALUES.get(code, ())}  # type: ignore[index]
         if code not in _VERBS and code not in _SETTINGS:
             self._reply(t_ns, id_, Refusal.UNKNOWN)
         elif abs(t_ns - given_ns) > COMMAND_LIFETIME_NS:

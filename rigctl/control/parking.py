@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.power_seen import STILL_NS
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.states import Mode
 
 REST_NS = 500_000_000
 """Spare time for a stroke to come to rest, beyond which the drive's own stop has to bring it there."""

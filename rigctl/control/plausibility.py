@@ -12,7 +12,7 @@ from rigctl.control.cell_step import CellStep
 from rigctl.control.findings import PlausibilitySeen
 from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.inbox import Inbox
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import REST_S
 from rigctl.devices.objects import UNPOWERED_STATES, Controlword, DriveState
+from rigctl.model.states import REST_S
 
 STILL_NS = 200_000_000
 STILL_MM = 0.02

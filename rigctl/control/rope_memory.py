@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.load_at_rest import CELL_BITS
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault
 
 CONTRADICTED_BIT = Fault.STRETCH_UNEXPLAINED.bit
 """Encoder and tension contradict each other, so either may be wrong."""

@@ -16,8 +16,6 @@ from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_step import PAYLOAD_MM_S
-from rigctl.control.checks import Check
-from rigctl.control.faults import Fault, Trait, having
 from rigctl.control.held_tension import (
     FALLEN_NS,
     GROWS_MM,
@@ -28,10 +26,12 @@ from rigctl.control.held_tension import (
     stretch_limit_mm,
 )
 from rigctl.control.homed import TOLERANCE_MM
-from rigctl.control.modes import Mode
 from rigctl.control.run_out import stale_ns
 from rigctl.control.snapshot import EStop, FieldValue, Snapshot, reader
 from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault, Trait, having
+from rigctl.model.states import Mode
 
 
 class Action(IntEnum):

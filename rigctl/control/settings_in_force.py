@@ -8,17 +8,18 @@ from dataclasses import replace
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
-from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.logbook import Logbook
 from rigctl.control.machine import Machine
-from rigctl.control.modes import Mode, Refusal, Setting
 from rigctl.control.observer import Observer
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text
+from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting
 
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement
-_Values = Mapping[str, float]  # by the names in `modes.VALUES`
+_Values = Mapping[str, float]  # by the names in `rigctl.model.verbs.VALUES`
 
 
 class SettingsInForce:

@@ -20,8 +20,8 @@ import math
 
 from rigctl.config.plant_section import FOUND_FACTOR
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.findings import SignsSeen
+from rigctl.model.faults import Fault
 
 TRAVEL_MM = 0.1  # expected travel before the drive is judged: more than its delay hides
 PATIENCE_MM = 1.0  # expected travel at which the drive must have moved

@@ -79,7 +79,7 @@ class Situation:
         return self.slack and not (self.brake_fails and self.slack_doubted)
 
     def given(self, values: Mapping[str, float]) -> Situation:
-        """The same for a command with these values, by the names of `rigctl.control.modes.VALUES`; NaN: not given."""
+        """The same for a command with these values, by the names of `rigctl.model.verbs.VALUES`; NaN: not given."""
         known = {
             _OF_VALUE[name]: value for name, value in values.items() if name in _OF_VALUE and not math.isnan(value)
         }

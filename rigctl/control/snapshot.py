@@ -21,8 +21,8 @@ from rigctl.control.findings import (
     StrokeHoldSeen,
     TakeUpSeen,
 )
-from rigctl.control.modes import HeldBy, LoadAtRest
 from rigctl.control.power_seen import PowerSeen
+from rigctl.model.states import HeldBy, LoadAtRest
 
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
 

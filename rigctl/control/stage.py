@@ -16,9 +16,10 @@ from typing import Any, NamedTuple
 
 from rigctl.control import modes
 from rigctl.control.arming import NOT_PREPARED, ArmingStep, Preparation
-from rigctl.control.modes import Event, HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.devices.drive import Power
+from rigctl.model.states import Event, HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 
 ARM_LIMIT_NS = 2_000_000_000
 """Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
@@ -107,7 +108,7 @@ class Accepted(NamedTuple):
     """A command that is accepted, and what is known of it until it is answered.
 
     ``id`` is None where no operator has given it: it has no answer. ``values``: by the names of
-    `rigctl.control.modes.VALUES`. ``event``: of the modes, once it is carried out. ``carry_ns``: of a CARRY. ``test``:
+    `rigctl.model.verbs.VALUES`. ``event``: of the modes, once it is carried out. ``carry_ns``: of a CARRY. ``test``:
     state of what goes before the drive's power. ``since_ns``: when it came, where the motor takes the load from the
     brake for it. ``taken_s``: how long that took; NaN: it does not, or not yet.
     """

@@ -11,12 +11,12 @@ from rigctl.control.held_load import HeldLoad
 from rigctl.control.logbook import Logbook
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.machine import Change, Machine
-from rigctl.control.modes import Event, Mode
 from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, TensionLaw
+from rigctl.model.states import Event, Mode
 
 
 class StrokeMotion:

@@ -13,8 +13,8 @@ from typing import Protocol
 from rigctl.config.settings import RigSettings
 from rigctl.control.frequency_trial import FrequencyTrial
 from rigctl.control.inbox import Inbox
-from rigctl.control.modes import Refusal, Verb
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.verbs import Refusal, Verb
 
 AVERAGED_S = 1.0
 FEWEST_SAMPLES = 10  # of a slow cell, for a meaningful mean

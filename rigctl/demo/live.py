@@ -20,7 +20,6 @@ import numpy.typing as npt
 from hil import truth as truth_log
 from rigctl.client.connection import NoDaemonError
 from rigctl.config.settings import DemoSettings, RigSettings
-from rigctl.control.modes import Mode, Verb
 from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, start_live_rig
 from rigctl.demo.script import DemoError, Moment, PausedError, Show, play
 from rigctl.demo.simulator_node import SimulatorNode
@@ -28,6 +27,8 @@ from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.ipc.record import NEVER_AGE_NS
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.recorder import parts
 
 OPERATOR = "demo"

@@ -23,8 +23,9 @@ import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Verb
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime, is_free
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 START_LIMIT_S = 60.0
 STOP_LIMIT_S = 10.0

@@ -14,12 +14,13 @@ from hil.lockstep import START_NS, Lockstep, lockstep
 from hil.truth import TRUTH_DTYPE
 from rigctl import __version__
 from rigctl.config.settings import DemoSettings, RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.demo.script import DemoError, Moment, Show, play
 from rigctl.demo.summary import Summary, summarise
 from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from rigctl.config.settings import DemoSettings
-from rigctl.control.modes import Mode, Verb
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 SETTLE_S = 5.0
 REST_S = 3.0

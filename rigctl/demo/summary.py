@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import DemoSettings
-from rigctl.control.modes import Mode
 from rigctl.metrics import tension_error as metrics
+from rigctl.model.states import Mode
 
 Array = npt.NDArray[Any]
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from rigctl.config.signals import WATCHED
-from rigctl.control.faults import EACH_SECOND, Fault, Trait
+from rigctl.model.faults import EACH_SECOND, Fault, Trait
+from rigctl.model.signals import WATCHED
 
 
 class Part(StrEnum):

@@ -16,12 +16,12 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault, Trait
-from rigctl.control.modes import HeldBy, Mode
 from rigctl.devices import emergency
 from rigctl.devices.objects import NmtState
 from rigctl.diagnosis.window import TripWindow
 from rigctl.ipc.record import Flag
+from rigctl.model.faults import Fault, Trait
+from rigctl.model.states import HeldBy, Mode
 
 Floats = npt.NDArray[np.float64]
 _MS = 1_000_000

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigctl.control.faults import Fault, Trait, having
-from rigctl.control.modes import Mode
 from rigctl.diagnosis.part import OF_DEVICE, Part
 from rigctl.diagnosis.residuals import Residuals
+from rigctl.model.faults import Fault, Trait, having
+from rigctl.model.states import Mode
 
 Sign = Callable[[Residuals], bool]
 STALL_MS = 4.0

@@ -19,11 +19,12 @@ from rigctl.commission.cell_uncertainty import drift, scale_u, zero_u_n
 from rigctl.commission.creep import CreepError, CreepFit, course
 from rigctl.commission.identification import IdentificationError, pairs_of
 from rigctl.config.settings import CalibrationSettings, RigSettings
-from rigctl.control.modes import Mode, Setting, SettingOrder, Verb
 from rigctl.control.tension import Gains
 from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S, LoadBin
 from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_TERMS, SCALE_BOUND, Correction, CreepTerm
 from rigctl.ipc.ledger import Entry, Standing, entry
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Setting, SettingOrder, Verb
 from rigctl.wire.command_request import Request
 
 MISFIT = 3.0  # residuals over scatter from which a record is said not to be two exponentials

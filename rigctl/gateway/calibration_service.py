@@ -21,7 +21,6 @@ import numpy.typing as npt
 
 from rigctl.commission.load_record import bins_of
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Setting, SettingOrder, Verb
 from rigctl.control.trials import LoadBin
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings
@@ -34,6 +33,7 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, Runtime
+from rigctl.model.verbs import Setting, SettingOrder, Verb
 from rigctl.wire.command_request import Request
 
 READ_NS = 500_000_000  # between two readings of the standing in force

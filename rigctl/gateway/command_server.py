@@ -23,7 +23,7 @@ from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.arming import AWAIT_NS, LONG_TEST_NS
 from rigctl.control.frequency_trial import LONGEST_S
-from rigctl.control.modes import FILED, NEEDS_MOTOR, Setting, SettingOrder, Verb, command_slot
+from rigctl.control.modes import FILED, NEEDS_MOTOR, command_slot
 from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
@@ -35,6 +35,7 @@ from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.writers import OPERATORS
+from rigctl.model.verbs import Setting, SettingOrder, Verb
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of

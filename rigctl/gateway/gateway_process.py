@@ -22,9 +22,6 @@ from pydantic import ValidationError
 from rigctl.commission.preflight import Preflight, PreflightVerdict
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
-from rigctl.control.checks import HOST_CHECKS
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Setting, SettingOrder
 from rigctl.control.realtime import die_with_parent
 from rigctl.diagnosis.live import LatchedCulprit
 from rigctl.gateway import accepted_sockets
@@ -59,6 +56,9 @@ from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
+from rigctl.model.checks import HOST_CHECKS
+from rigctl.model.faults import Fault
+from rigctl.model.verbs import Setting, SettingOrder
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
 from rigctl.wire.offers import offers

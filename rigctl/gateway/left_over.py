@@ -14,12 +14,12 @@ from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.modes import Setting, SettingOrder
 from rigctl.gateway.calibration_findings import creep_order, zero_order
 from rigctl.ipc import ledger
 from rigctl.ipc.correction import creep_text
 from rigctl.ipc.ledger import Entry, Standing, in_force
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.verbs import Setting, SettingOrder
 
 InForce = tuple[float, float, str]
 """Zero in N, scale, and the creep in words; without ``compensation.creep`` the creep is empty."""

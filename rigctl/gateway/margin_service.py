@@ -12,13 +12,13 @@ from typing import Any
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.margin_probe import GROW_S, WINDOW_S
-from rigctl.control.modes import Setting, SettingOrder
 from rigctl.design.identified import WINDOW
 from rigctl.gateway.evaluation import EvaluationError, evaluate
 from rigctl.gateway.excited_records import ExcitedRecords
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.verbs import Setting, SettingOrder
 
 FIRST_NS = round((GROW_S + 5.0 + WINDOW_S) * 1e9)  # after the multisine began: growth, a period to die away, a window
 AGAIN_NS = round(WINDOW_S * 1e9)

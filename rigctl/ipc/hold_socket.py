@@ -39,7 +39,7 @@ class HoldAnswer(NamedTuple):
 
     t_ns: int
     accepted: bool
-    reason: int  # see rigctl.control.modes.Refusal
+    reason: int  # see rigctl.model.verbs.Refusal
     checks: int
     fault: int
     stroke_mm: float

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.config.signals import RECORDED
+from rigctl.model.signals import RECORDED
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ COMMAND = Slot(
     (
         Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
         Field("id", "Q", "", "comes back in the reply"),
-        Field("verb", "B", "", "see rigctl.control.modes.Verb and Setting; fields that it does not use are NaN"),
+        Field("verb", "B", "", "see rigctl.model.verbs.Verb and Setting; fields that it does not use are NaN"),
         Field("target_n", "d", "N", "TARGET: vertical tension"),
         Field("stroke_mm", "d", "mm", "CONFIRM_STROKE: as the operator has measured it"),
         Field("weight_n", "d", "N", "CALIBRATE: known weight, for the audit log only"),
@@ -134,7 +134,7 @@ COMMAND = Slot(
         Field("k_integral", "d", "mm/(s^2 N)", "LAW_GAINS"),
         Field("sensitivity_peak", "d", "", "MARGINS: see the record"),
         Field("sensitivity_peak_error", "d", "", "MARGINS"),
-        Field("host_checks", "d", "", "HOST_CHECKS: those that fail, bits, see rigctl.control.checks.HOST_CHECKS"),
+        Field("host_checks", "d", "", "HOST_CHECKS: those that fail, bits, see rigctl.model.checks.HOST_CHECKS"),
         Field("creep_s", "d", "s", "CALIBRATE: how long the creep is recorded; NaN for a mean reading"),
         Field("zero_c", "d", "deg C", "ZERO: the cell's temperature then; NaN where it is not known"),
         Field("zero_n_k", "d", "N/K", "ZERO: change of zero per kelvin from there on"),
@@ -167,13 +167,13 @@ REPLY = Slot(
         Field("t_ns", "q", "ns", "when"),
         Field("id", "Q", "", "of the command"),
         Field("accepted", "B", "", "1 carried out, 0 refused"),
-        Field("reason", "H", "", "why refused, see rigctl.control.modes.Refusal"),
+        Field("reason", "H", "", "why refused, see rigctl.model.verbs.Refusal"),
         Field(
             "checks",
             "Q",
             "",
-            "preflight checks that failed, bits, see rigctl.control.checks.Check; CAUSE_PRESENT: "
-            "the faults whose causes are there, bits, see rigctl.control.faults.Fault.bit",
+            "preflight checks that failed, bits, see rigctl.model.checks.Check; CAUSE_PRESENT: "
+            "the faults whose causes are there, bits, see rigctl.model.faults.Fault.bit",
         ),
         Field("mode", "B", "", "mode after the command"),
         Field("tension_n", "d", "N", "tension now; of this and the fields below a reply has the one it is about"),
@@ -217,7 +217,7 @@ SITUATION = Slot(
     "situation",
     (
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
-        Field("mode", "B", "", "see rigctl.control.modes.Mode; the fields below: see rigctl.control.situation"),
+        Field("mode", "B", "", "see rigctl.model.states.Mode; the fields below: see rigctl.control.situation"),
         *(Field(name, code, "", "") for code, names in (
             ("Q", "failed_checks causes fault moves witness pending drive_state"),
             ("B", "stop_running armed e_stop brake_fails strays no_brake at_rest drive_faulted drive_unfit slack "

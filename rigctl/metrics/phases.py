@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.modes import Mode
 from rigctl.metrics.tension_error import stretches
+from rigctl.model.states import Mode
 
 SETTLE_S = 2.0
 """Time left out after entry into COMPENSATING, and after a new target is reached."""

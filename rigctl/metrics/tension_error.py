@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 Array = npt.NDArray[Any]
 IN_FLIGHT_TICKS = 200  # answers to the last SYNCs may still arrive: the fewest missing within these ticks are lost

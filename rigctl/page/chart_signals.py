@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import Quality
+from rigctl.model.states import Mode
 from rigctl.wire.trust import DEVICES, doubted_bits
 
 Values = npt.NDArray[np.float64]

@@ -11,9 +11,9 @@ import numpy as np
 from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 from rigctl.recorder import audit_log, part_seal
 from rigctl.recorder.enums import name_of
 from rigctl.recorder.file_reader import RECORDER

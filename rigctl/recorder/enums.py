@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD, Quality, Slot
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 from rigctl.wire.record_names import quality_words
 
 Names = Mapping[int, str]

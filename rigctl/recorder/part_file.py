@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl import __version__
-from rigctl.config.signals import RECORDED
+from rigctl.model.signals import RECORDED
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.mcap_file import FORMAT, McapFile, Message

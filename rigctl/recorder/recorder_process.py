@@ -21,7 +21,6 @@ from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
 from rigctl.control import last_stroke
-from rigctl.control.modes import Mode
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import heap, ledger, supervision
 from rigctl.ipc.joining import UsageError, joined
@@ -31,6 +30,7 @@ from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, SUPERVISOR, Doing
 from rigctl.ipc.termination import Termination
+from rigctl.model.states import Mode
 from rigctl.recorder import audit_host, parts, sealed_head
 from rigctl.recorder.audit_host import AuditHost
 from rigctl.recorder.audit_log import AuditError, AuditLog, Item

@@ -14,14 +14,15 @@ import numpy as np
 from rigctl.config import quantity
 from rigctl.config.quantity import significant
 from rigctl.control.events import Kind, failed_checks
-from rigctl.control.faults import Fault
-from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc import supervision
 from rigctl.ipc.notes import note_message
 from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.enums import name_of
 from rigctl.wire.event_message import event_message

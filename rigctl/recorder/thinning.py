@@ -17,8 +17,8 @@ from enum import Enum, auto
 from typing import Any
 
 from rigctl.config import quantity
-from rigctl.control.modes import Verb
 from rigctl.ipc.record import HOLD_ID
+from rigctl.model.verbs import Verb
 from rigctl.recorder.audit_log import Item
 
 WINDOW_NS, NEXT_WINDOW_NS = 10_000_000_000, 60_000_000_000

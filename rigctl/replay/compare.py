@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.config.signals import RECORDED
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
+from rigctl.model.signals import RECORDED
+from rigctl.model.states import Mode
 from rigctl.replay.feed import Slots
 from rigctl.replay.play import Batch
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from rigctl.recorder.enums import name_of
 from rigctl.recorder.recording import Recording
 

@@ -30,7 +30,6 @@ from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
 from rigctl.control import ending, last_stroke
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
 from rigctl.devices.objects import DriveState, drive_state
@@ -46,6 +45,7 @@ from rigctl.ipc.service_manager import notify, unnotified
 from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
+from rigctl.model.states import Mode
 from rigctl.supervisor import memory
 from rigctl.supervisor.event_lines import EventLines
 from rigctl.supervisor.left_processes import StillRunsError, end_left

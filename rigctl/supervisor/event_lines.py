@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import EACH_SECOND
+from rigctl.model.faults import EACH_SECOND
 
 AGAIN_NS = 60_000_000_000
 """After which a failure that the loop reports every second is printed again while it lasts."""

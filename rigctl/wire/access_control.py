@@ -18,9 +18,9 @@ import datetime
 from collections.abc import Iterable, Sequence
 from typing import Any
 
-from rigctl.control.modes import Verb
 from rigctl.identity.access_file import Certified
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.model.verbs import Verb
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS

@@ -1,7 +1,7 @@
 """Alarms after ISA-18.2: one row for each cause, folded from the events and the state. Pure: time is passed in.
 
 A row comes with the first event of its cause. It goes once the cause is gone and the row is acknowledged; a reset
-acknowledges the fault it resets. Words and remedies are those of `rigctl.control.faults`.
+acknowledges the fault it resets. Words and remedies are those of `rigctl.model.faults`.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from enum import Enum, IntEnum
 from typing import Any
 
 from rigctl.config.quantity import Number
-from rigctl.config.signals import WATCHED
-from rigctl.control.faults import EACH_SECOND, Fault, Trait, lasting
 from rigctl.ipc.record import NEVER_AGE_NS
+from rigctl.model.faults import EACH_SECOND, Fault, Trait, lasting
+from rigctl.model.signals import WATCHED
 from rigctl.wire.trust import explained
 
 ROWS = 256

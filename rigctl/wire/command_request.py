@@ -15,14 +15,15 @@ from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line
 from rigctl.config.quantity import significant
 from rigctl.control.arming import LONG_TEST_NS
-from rigctl.control.checks import Check
 from rigctl.control.events import failed_checks, refusal_text
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.situation import Witness
 from rigctl.ipc.hold_socket import HELD, HoldAnswer
 from rigctl.ipc.record import Flag, figure_of
 from rigctl.ipc.ring import RingReader
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.record_names import ALIVE_NS
@@ -115,7 +116,7 @@ class Request:
 
     @property
     def numbers(self) -> tuple[float, ...]:
-        """The numbers in the command's slot, in the order of `rigctl.control.modes.VALUES`."""
+        """The numbers in the command's slot, in the order of `rigctl.model.verbs.VALUES`."""
         second = {Verb.CALIBRATE: self.creep_s, Verb.CARRY: float(WITNESSES[self.by])}
         return (self.number, second[self.verb]) if self.verb in second else (self.number,)
 

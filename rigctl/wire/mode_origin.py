@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.control.modes import Event
+from rigctl.model.states import Event
 
 _TAKEN = ("LEASE_TAKEN", "LEASE_TAKEN_OVER")
 _LEFT = ("LEASE_RETURNED", "LEASE_LAPSED")

@@ -12,11 +12,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from rigctl.config.quantity import significant
-from rigctl.control.checks import Check
 from rigctl.control.events import refusal_text
-from rigctl.control.faults import Fault
-from rigctl.control.modes import CARRY_S, Mode, Refusal, Verb, answer, barring
+from rigctl.control.modes import CARRY_S, answer, barring
 from rigctl.control.situation import Situation, of_slot
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 BUTTONS = (
     Verb.RELEASE, Verb.DISARM, Verb.RESET, Verb.ARM, Verb.TENSION, Verb.TARGET, Verb.CARRY, Verb.LOWER,

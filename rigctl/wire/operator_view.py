@@ -8,10 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.quantity import count, number
-from rigctl.control.faults import Fault, Trait, having
-from rigctl.control.modes import PowerOff, Refusal
 from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.table import suspects
+from rigctl.model.faults import Fault, Trait, having
+from rigctl.model.states import PowerOff
+from rigctl.model.verbs import Refusal
 from rigctl.wire.alarms import Alarm, figure, follows
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now

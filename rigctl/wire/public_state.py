@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rigctl.control.faults import Fault, faults_of
-from rigctl.control.modes import HeldBy, Mode
 from rigctl.ipc.progress import REPORTED_S
 from rigctl.ipc.public_slot import PublicSlot
+from rigctl.model.faults import Fault, faults_of
+from rigctl.model.states import HeldBy, Mode
 from rigctl.wire.record_names import ALIVE_NS, named, quality_words
 from rigctl.wire.state_words import BRAKE_FAILS
 

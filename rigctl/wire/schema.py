@@ -6,14 +6,15 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
-from rigctl.control.modes import HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, Flag, Quality
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire import block
 from rigctl.wire.keys import SEVERITIES, Keys
 from rigctl.wire.meanings import (

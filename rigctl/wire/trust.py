@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.control.faults import Fault, Trait, bits_of, having
 from rigctl.diagnosis.part import FROM_BUS, Part
+from rigctl.model.faults import Fault, Trait, bits_of, having
 
 DEVICES = ("tension", "drive", "inclination")
 """The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""

@@ -33,8 +33,8 @@ from rich.table import Table
 
 from rigctl.client import local_hold
 from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
-from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
 from tests.bench import hung_holds
 from tests.bench.flood import KINDS, TLS_KINDS, flooding
 from tests.builders import daemons

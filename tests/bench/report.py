@@ -13,7 +13,7 @@ import time
 
 import numpy as np
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from tests.builders import synthetic
 from tests.builders.paths import ROOT
 

@@ -11,8 +11,9 @@ import numpy.typing as npt
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 LIMIT_S = 120.0
 SETTLE_S = 3.0  # a soft mechanism bounces after the preload, and the sign check would see that

@@ -6,10 +6,10 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind, Worded, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
 from rigctl.devices import objects as od
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 
 def events(rig: Lockstep) -> list[int]:

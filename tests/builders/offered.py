@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.control.checks import Check
-from rigctl.control.faults import Fault, bits_of
-from rigctl.control.modes import Mode
 from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.record import SITUATION
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault, bits_of
+from rigctl.model.states import Mode
 from rigctl.wire.offers import offers
 
 

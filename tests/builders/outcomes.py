@@ -6,10 +6,10 @@ from typing import Any
 
 from rigctl.control.arming import ArmingStep
 from rigctl.control.machine import Answer, Change, Machine
-from rigctl.control.modes import Mode
 from rigctl.control.safety import Trip, Watch
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import NOT_LEFT, TickSeen
+from rigctl.model.states import Mode
 
 
 class WatchLog(Watch):

@@ -14,16 +14,18 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import HoldSockets
-from rigctl.control.modes import TRANSITIONS, Decision, Event, HeldBy, Mode, Refusal, Setting, Verb, decide, next_mode
+from rigctl.control.modes import TRANSITIONS, Decision, decide, next_mode
 from rigctl.control.safety import Action
 from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import RECORD, REPLY, Flag
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Event, HeldBy, Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 
 PERIOD_NS = 1_000_000
 ARM_NS = 300_000_000

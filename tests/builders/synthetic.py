@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import COMMAND, FRAME, HOLD, RECORD
+from rigctl.model.states import Mode
 from rigctl.recorder.appender import Appender
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.part_file import PartFile

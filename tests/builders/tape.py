@@ -12,9 +12,9 @@ import numpy.typing as npt
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.config.signals import RECORDED
 from rigctl.ipc.record import COMMAND, FRAME, RECORD
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.model.signals import RECORDED
 from rigctl.recorder.continuous import BATCH_NS, Continuous
 from tests.builders.paths import ROOT
 

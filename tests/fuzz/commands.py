@@ -11,11 +11,13 @@ import numpy as np
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.control.tension import Gains
 from rigctl.gateway import command_server
 from rigctl.ipc.ring import RingReader
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import Request, RequestError
 from rigctl.wire.lease import ACTS

@@ -18,12 +18,14 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.modes import Mode, Setting, Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import Controlword, NmtState
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Setting, Verb
 
 FRAMES_PER_TICK = 24
 EPISODE_TICKS = 6_000

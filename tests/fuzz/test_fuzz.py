@@ -14,11 +14,12 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.devices import objects as od
 from rigctl.devices.remote_node import StartupError
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.wire.command_request import RequestError, parse
 from tests.builders.paths import ROOT
 from tests.builders.rig_on_hub import RigOnHub

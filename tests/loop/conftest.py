@@ -11,9 +11,10 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started, pytest_pyfunc_call
 from tests.builders.paths import ROOT
 

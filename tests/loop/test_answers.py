@@ -14,9 +14,10 @@ from hil.lockstep import lockstep
 from hil.scenario.play import bring_to_target
 from rigctl.config.settings import RigSettings
 from rigctl.control.hold_sockets import Hold
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import HOLD_ID
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 
 GIVEN = 40
 VALUES = {Verb.RELEASE: (5.0,), Verb.TARGET: (290.0,), Verb.CALIBRATE: (150.0, 0.0), Verb.CARRY: (5.0, 0.0)}

@@ -11,13 +11,14 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, power_seen
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import OFF_STATES, Controlword
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 Enter = Callable[[Mode], None]
 MS = 1_000_000

@@ -14,11 +14,12 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.cli import status
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.stage import KEPT_NS
 from rigctl.control.tension import Gains
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.operator_panel import answers, devices
 from rigctl.wire.alarms import as_message
 from tests.builders.branches import Started

@@ -15,11 +15,12 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
 from tests.builders.loop_changes import end_time_of_carrying
 from tests.builders.loop_frames import worded_events

@@ -13,8 +13,9 @@ from hil.faults import on_bus
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 
 def pull_down(rig: Lockstep, patch: pytest.MonkeyPatch) -> None:

@@ -17,14 +17,15 @@ from hil.wire import FRAME
 from rigctl.cli import status
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import past_messages
 from rigctl.ipc.ledger import Standing
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures

@@ -12,14 +12,15 @@ from rigctl.commission.load_record import bins_of
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.control.trials import CREEP_BINS
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.ipc.correction import Correction, CreepTerm
 from rigctl.ipc.ledger import Standing
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 from rigctl.wire.command_request import Request
 from tests.builders.rig_bench import changed
 

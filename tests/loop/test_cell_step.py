@@ -8,8 +8,8 @@ from hil.faults.in_device import CELL, reads
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from rigctl.control.cell_step import STAYS
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 
 @pytest.mark.parametrize(("rig", "gain"), [(Mode.TENSIONING, 1.05), (Mode.COMPENSATING, 1.017)], indirect=["rig"])

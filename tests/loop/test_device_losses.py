@@ -7,11 +7,12 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import assert_held, events, frame, nmt, stop_node
 
 ACTIVE = [Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING]

@@ -10,12 +10,13 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.demo.summary import Summary
 from rigctl.devices import objects as od
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.recording import parts_of, read
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans

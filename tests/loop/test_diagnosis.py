@@ -14,11 +14,12 @@ from hil.faults.naming import Naming, RecordedRow, culprit, named, recorded
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.diagnosis.live import LatchedCulprit
 from rigctl.diagnosis.part import Part
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import parts_of, read
 from rigctl.report.findings import as_dict, find

@@ -11,13 +11,14 @@ from hil.nodes import io_node
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.rig_bench import changed
 
 IO = IoSettings(e_stop_input=9, drive_enable_output=0, drive_off_input=10)

@@ -21,15 +21,16 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
 from rigctl.control.machine import SUPERVISED_NS
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import DriveState, NmtState, drive_state
 from rigctl.devices.remote_node import StartupError
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import nmt, stop_node
 from tests.builders.rig_on_hub import RigOnHub
 

@@ -12,14 +12,15 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.config.signals import STATUS, WATCHED
-from rigctl.control.checks import HOST_CHECKS, Check
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
+from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.faults import Fault
+from rigctl.model.signals import STATUS, WATCHED
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 from tests.builders.loop_frames import latched
 from tests.builders.rig_bench import SAME_CLOCKS, changed
 

@@ -10,13 +10,15 @@ from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.control.safety import Action
 from rigctl.devices import objects
 from rigctl.ipc.record import Flag
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

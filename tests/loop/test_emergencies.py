@@ -9,9 +9,10 @@ import pytest
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.devices import objects
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 CELL, DRIVE = 2, 4
 

@@ -16,10 +16,11 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.ending import TOGETHER_NS, WAITS_NS, EndStep
 from rigctl.control.events import Kind
-from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.situation import Witness
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
+from rigctl.model.states import Event, Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.trips import triggers
 from tests.builders.branches import Started
 from tests.builders.loop_changes import LoopStep, failing

@@ -14,9 +14,9 @@ from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.gate import Verdict
-from rigctl.control.modes import Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 
 @pytest.fixture

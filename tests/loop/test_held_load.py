@@ -15,10 +15,11 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, LoadAtRest, Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, LoadAtRest, Mode
+from rigctl.model.verbs import Refusal, Verb
 
 Floats = npt.NDArray[np.float64]
 MOVED_MM, SHARE = 1.0, 0.03

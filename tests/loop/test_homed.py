@@ -11,14 +11,15 @@ from hil.faults.in_device import STROKE
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
 from rigctl.control.homed import TOLERANCE_MM, LastStroke
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
 
 JUMP_UM = 52_000

@@ -17,10 +17,11 @@ from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.gain_table import ScheduledGains
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders import daemons
 from tests.builders.identifications import NOON_NS, response
 

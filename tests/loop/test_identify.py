@@ -15,11 +15,12 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
 from rigctl.gateway import calibration_findings as findings
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.command_request import Request
 from tests.builders.paths import ROOT
 from tests.builders.random_plants import KEYS, identify_all, plants

@@ -16,12 +16,13 @@ from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.control.escalation import ANSWER_NS, BLIND_MM
 from rigctl.control.events import worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.outbox import CUTS, NMT_STOPS
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
 from tests.builders.loop_frames import latched
 from tests.builders.rig_bench import changed

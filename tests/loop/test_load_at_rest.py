@@ -13,8 +13,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
 from rigctl.control.load_at_rest import REST_NS
-from rigctl.control.modes import HeldBy, LoadAtRest, Mode
 from rigctl.control.tension import Gains
+from rigctl.model.states import HeldBy, LoadAtRest, Mode
 from tests.builders.branches import Started
 from tests.builders.loop_frames import stop_node, texts
 

@@ -11,14 +11,15 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.metrics import tension_error as metrics
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 from tests.builders.loop_changes import LoopStep, failing, leave_unexplained
 from tests.builders.loop_frames import assert_held, events, stop_node
 

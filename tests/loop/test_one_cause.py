@@ -11,9 +11,10 @@ import pytest
 from hil.faults.catalogue import BY_ID
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.diagnosis.part import Part
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.operator_panel import answers
 from rigctl.wire import state_words
 from rigctl.wire.alarm_words import listed

@@ -10,11 +10,12 @@ from hil.faults.in_plant import rope_breaks
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import STROKE_SPARE_MM
 from rigctl.control.tension import PAYS_OUT_MM_S, Gains
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 LIMIT_S = 60.0
 LENGTH_MM = 20.0

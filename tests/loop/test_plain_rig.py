@@ -9,12 +9,13 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.plain_sensors import PlainSensor
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
 from rigctl.ipc.record import Quality
 from rigctl.metrics import tension_error as metrics
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 
 PLAIN = config.load(ROOT / "config/plain_rig.yaml")

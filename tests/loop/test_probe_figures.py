@@ -14,10 +14,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.control import loop
 from rigctl.control.loop_probe import NoProbe
 from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.modes import Mode
 from rigctl.control.probe_plan import JUDGEMENTS_PER_PERIOD, OVERLAP, plan
 from rigctl.control.sensor_probe import SensorProbe
 from rigctl.design.gains import design
+from rigctl.model.states import Mode
 from tests.builders.excited import tensioned
 from tests.builders.paths import ROOT
 

@@ -18,14 +18,15 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.ending import WAITS_NS
-from rigctl.control.modes import Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.record import Flag
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.checks import Check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import Recording, parts_of, read
 from rigctl.replay.compare import Against, first_difference

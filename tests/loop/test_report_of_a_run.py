@@ -10,9 +10,10 @@ import pytest
 
 from hil.lockstep import lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import parts_of, read
 from rigctl.report.findings import Findings, find

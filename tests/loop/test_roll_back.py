@@ -7,10 +7,11 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.studies.roll_back.study import LIMIT_MM, RollBackCase, cases, settings_of, taken_over
 from rigctl.config.changed_settings import changed
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.startup import StartupError
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.rig_bench import SETTINGS
 
 

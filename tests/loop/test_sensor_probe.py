@@ -9,11 +9,11 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.modes import Mode
 from rigctl.control.probe_plan import ProbePlan, plan
 from rigctl.design.gains import design
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 from tests.builders.excited import tensioned
 from tests.builders.paths import ROOT
 

@@ -8,10 +8,11 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.stage import DRIVE_RESET_NS
 from rigctl.devices.objects import DriveState
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import stop_node
 
 OVERCURRENT = 0x2310

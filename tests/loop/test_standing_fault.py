@@ -15,10 +15,11 @@ from hil.faults.standing import FaultRefusedError, StandingFault, found, hindran
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 
 SETTINGS = rig_file.load(ROOT / "config/paper_rig.yaml")

@@ -10,7 +10,7 @@ from hil.faults import on_bus
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from rigctl.cli import status
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from tests.loop.test_causes import Shown
 
 COLUMNS = 80

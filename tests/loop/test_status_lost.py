@@ -6,12 +6,13 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import STATUS_PERIODS, Action
 from rigctl.devices import objects
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
 
 ARMED = (Mode.HOLD, Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING)

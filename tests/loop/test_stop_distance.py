@@ -7,7 +7,8 @@ import pytest
 from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.bounds import Stop
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 DEAD_TICKS = 500
 

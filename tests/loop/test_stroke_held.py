@@ -15,11 +15,12 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, SAID_MM
 from rigctl.control.tension import Gains
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
 from tests.builders.loop_changes import doubt_stroke
 

@@ -16,13 +16,14 @@ from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.events import worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.safety import Action
 from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 Enter = Callable[[Mode], None]
 WRITES = (  # objects of the drive's supervision: index, sub-index, size

@@ -10,11 +10,12 @@ from hil.lockstep import Lockstep, lockstep
 from hil.scenario.layered_rig import with_set
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.take_up import limit_n
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 from tests.builders.rig_bench import changed
 

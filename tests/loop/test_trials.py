@@ -9,13 +9,15 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Setting, Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.correction import Correction
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Setting, Verb
 
 Enter = Callable[[Mode], None]
 OFFSET_N = 3.0

@@ -23,12 +23,13 @@ from hil.wire import FRAME
 from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import Check
-from rigctl.control.modes import VALUES, Mode, Refusal, Setting, Verb
 from rigctl.control.tension import Gains
 from rigctl.diagnosis.part import Part
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.checks import Check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 from rigctl.recorder import chain
 from rigctl.recorder import recording as recordings
 from rigctl.recorder.recorder_process import Recorder

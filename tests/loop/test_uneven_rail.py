@@ -14,11 +14,12 @@ from hil.scenario.play import play
 from hil.wire import FRAME
 from rigctl.config.rail_sections import RunOutSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.ipc.record import Quality
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_changes import change_run_out
 from tests.builders.paths import ROOT
 from tests.builders.rig_bench import changed

@@ -23,8 +23,9 @@ from hil.scenario.layered_rig import with_set
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.design.margins import design_and_check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import worded_events
 from tests.builders.paths import ROOT
 

@@ -16,9 +16,9 @@ from hil.faults.catalogue import ROWS
 from hil.runs import rows_file
 from hil.ways_out import step_follower
 from rigctl.control.logbook import Logbook
-from rigctl.control.modes import Mode
 from rigctl.control.situation import Situation
 from rigctl.diagnosis.part import Part
+from rigctl.model.states import Mode
 from rigctl.wire import operator_view
 from rigctl.wire.instructions import Hands
 from tests.builders.paths import ROOT

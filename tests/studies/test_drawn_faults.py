@@ -14,7 +14,7 @@ from hil.faults.drawn.draw import Draw, DrawnRig, PartFault, block_of, pair_of
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file
 from rigctl.control.load_at_rest import LoadRest
-from rigctl.control.modes import LoadAtRest
+from rigctl.model.states import LoadAtRest
 from tests.builders.paths import ROOT
 
 RIG = ROOT / "config/paper_rig.yaml"

@@ -24,10 +24,10 @@ from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
 from rigctl.control import modes, observer, safety, stage
 from rigctl.control.escalation import Escalator
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.control.power_seen import PowerDetector
 from rigctl.design.margins import design_and_check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Event, Mode
 from tests.builders.paths import ROOT
 
 pytestmark = pytest.mark.gate
@@ -169,7 +169,7 @@ def test_a_rig_that_releases_the_load_after_a_trip_is_found_out(
     monkeypatch: pytest.MonkeyPatch, escalates: bool, reaction: Reaction
 ) -> None:
     """The escalation ends such a release by taking the drive's power away: too late for the row, which reports it."""
-    monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, modes.Event.TRIP), modes.Transition(Mode.RELEASING))
+    monkeypatch.setitem(modes.TRANSITIONS, (Mode.COMPENSATING, Event.TRIP), modes.Transition(Mode.RELEASING))
     if not escalates:
         monkeypatch.setattr(Escalator, "look", lambda *_: None)
     found = row(new_bench(), "payload_caught", Mode.COMPENSATING)

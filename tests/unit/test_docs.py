@@ -27,8 +27,8 @@ from hil.__main__ import app as hil_app
 from rigctl.cli import typer_app
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.faults import Fault
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])

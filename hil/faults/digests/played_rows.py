@@ -23,7 +23,8 @@ from hil.scenario import disturbances, kinds
 from hil.scenario.layered_rig import with_set
 from rigctl.config import rig_file as config
 from rigctl.config.settings import LearningSettings, RigSettings
-from rigctl.control.modes import Mode, Setting, Verb
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Setting, Verb
 
 GATE: tuple[tuple[str, Mode], ...] = (
     ("cell_silent", Mode.COMPENSATING),

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from hil.faults import in_plant
 from hil.lockstep import Lockstep
 from hil.plant.inputs import Track
-from rigctl.control.modes import Mode, Setting, Verb
 from rigctl.devices import objects
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Setting, Verb
 
 SILENCE_S = 0.03
 """Silence of the cell that leads to FAULT."""

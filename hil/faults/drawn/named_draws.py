@@ -14,10 +14,10 @@ from hil.faults.naming import NamedRow, RecordedRow, culprit, naming
 from hil.lockstep import lockstep
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, noted, trips
 from rigctl.ipc.record import EVENT
+from rigctl.model.states import Mode
 
 LONGEST_S = 8.0
 """From the fault on; a fault that has not tripped by then is not named."""

@@ -16,7 +16,7 @@ from hil.faults.drawn.stretches import STOP_S, Deviation, Flags
 from hil.faults.judge import DEAD_REST_MM, DEATH, LAST_S, MOVES_MM_S
 from hil.faults.lockstep_run import KILLED_S
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 REACTION_S = 0.22
 """Longest stated time from the first sample that shows a fault to the reaction."""

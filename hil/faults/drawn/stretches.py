@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.faults.judge import away_n
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 
 STOP_S = 0.15
 """Stated time from a reaction to standstill: ramp, lag and brake."""

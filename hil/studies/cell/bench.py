@@ -16,9 +16,9 @@ from hil.plant import Plant
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellCorrection
-from rigctl.control.modes import Refusal
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.trials import Average, LoadBin, LoadStep, Trial
+from rigctl.model.verbs import Refusal
 
 S = 1_000_000_000
 FINE_S, COARSE_S, WARMING_S = 0.05, 1.0, 60.0

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 from hil.studies.cell.bench import CellBench
 from hil.studies.cell.drawn_cell import DrawnCell
-from rigctl.control.modes import Verb
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry, Standing
+from rigctl.model.verbs import Verb
 from rigctl.wire.command_request import Request
 
 DAY_S = 86_400.0

@@ -19,13 +19,13 @@ from hil.scenario.play import bring_to_target
 from rigctl.commission.identification import IdentificationError
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Refusal, Verb
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified, NotIdentifiedError, Uncertain, points
 from rigctl.design.plant_family import Member, sampled
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.evaluation import response
 from rigctl.ipc.ledger import Entry
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.command_request import Request
 
 WHEN, WHEN_NS = "2026-01-01T00:00:00+00:00", 1_767_225_600_000_000_000

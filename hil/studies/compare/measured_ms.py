@@ -31,9 +31,9 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.inbox import Inbox
 from rigctl.control.loop import LawFactory
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.devices import objects
+from rigctl.model.states import Mode
 
 Lines = npt.NDArray[np.intp]
 Floats = npt.NDArray[np.float64]

@@ -12,9 +12,10 @@ from hil.runs.runner import Work, play
 from rigctl.config import rig_file, strict_yaml
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import DriveState
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 SET = "sets/yielding_motor.yaml"
 """Parameters of motor and brake, laid over the rig file."""

@@ -13,8 +13,9 @@ from hil.lockstep import Lockstep, lockstep
 from hil.runs.runner import Work, play
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode, Refusal, Verb
 from rigctl.control.tension import Gains
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 SEED, DRAWS = 34, 60
 LIMIT_MM = 0.1

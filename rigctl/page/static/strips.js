@@ -4,7 +4,7 @@ import { colours, keep, kept, nice, sized } from "./look.js";
 
 const AXIS_PX = 66;
 const SHORTEST_S = 2; // the closest zoom
-const COMPENSATING = 3, CLOSED = [2, 3, 4]; // rigctl.control.modes.Mode: where the error, the tension is regulated
+const COMPENSATING = 3, CLOSED = [2, 3, 4]; // rigctl.model.states.Mode: where the error, the tension is regulated
 const GUTTER_PX = 78; // right of the traces: what the lines are
 const HAIR_PX = 0.7;
 const POINTS = 2 * Store.BUCKETS;

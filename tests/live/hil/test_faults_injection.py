@@ -16,8 +16,8 @@ from hil.faults.stand import Injector, Stand
 from hil.hub import Hub
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Mode
 from rigctl.design.margins import design_and_check
+from rigctl.model.states import Mode
 from tests.builders.paths import ROOT
 
 RIG = config.load(ROOT / "config/paper_rig.yaml")

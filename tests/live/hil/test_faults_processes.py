@@ -15,8 +15,8 @@ from hil.faults.processes import Seen, judged
 from hil.truth import TRUTH_DTYPE
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
+from rigctl.model.states import Mode
 from tests.builders.paths import ROOT
 
 RIG = ROOT / "config/paper_rig.yaml"

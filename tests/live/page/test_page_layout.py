@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Browser
 
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
 from rigctl.page.picture import Picture
 from tests.builders.exclusions import contradictions
 from tests.builders.page_states import Shown, charted, page_of, picture_of, show, state, tripped

@@ -7,8 +7,8 @@ from typing import Any
 from rigctl.cli.watch_screen import Screen
 from rigctl.client.rig_view import RigView
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
 from rigctl.control.safety import Action
+from rigctl.model.faults import Fault
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire.passed_limits import PassedLimits

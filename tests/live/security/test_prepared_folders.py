@@ -14,12 +14,13 @@ import pytest
 
 from rigctl.config import layout
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.ipc import output_file, runtime_folder, writers
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.runtime_folder import BASE, PUBLIC_MODE, FolderError, Runtime
 from rigctl.ipc.trusted_folders import entered_folders
+from rigctl.model.verbs import Verb
 from rigctl.recorder.audit_log import AuditLog
 from tests.builders.daemons import name_of, rig_file
 from tests.builders.intruder import NOBODY

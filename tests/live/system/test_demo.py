@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.modes import Mode, Verb
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.recorder import recording
 from tests.builders import daemons
 from tests.builders.paths import ROOT

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from rigctl.client import local_hold
-from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
 from tests.bench.flood import TLS_KINDS, flooding
 from tests.bench.holds import Subject, hung
 from tests.builders import daemons

@@ -14,8 +14,8 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
 from tests.builders import daemons
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until

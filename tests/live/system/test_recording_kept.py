@@ -17,8 +17,8 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Mode
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.model.states import Mode
 from rigctl.recorder import recording
 from tests.bench.recorder import PATIENT, judged, strike
 from tests.builders import daemons

@@ -20,7 +20,7 @@ from foxglove.websocket import Capability, ServerListener
 from websockets.exceptions import InvalidStatus
 
 from rigctl.bridge import foxglove_protocol as protocol
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from tests.builders.foxglove_client import FoxgloveClient, stalled
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT

@@ -15,7 +15,7 @@ from prometheus_client import Metric
 from prometheus_client.openmetrics.parser import text_fd_to_metric_families as openmetrics
 from prometheus_client.parser import text_string_to_metric_families
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
 from tests.builders.promtool import promtool

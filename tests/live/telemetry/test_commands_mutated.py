@@ -7,7 +7,8 @@ import random
 
 import msgspec
 
-from rigctl.control.modes import FILED, Mode
+from rigctl.control.modes import FILED
+from rigctl.model.states import Mode
 from rigctl.wire.session import MESSAGE_BYTES
 from tests.builders.miniature import Daemon
 from tests.builders.operators import ANNA

@@ -17,11 +17,11 @@ import pytest
 
 from rigctl.cli.typer_app import program
 from rigctl.config.rig_file import load
-from rigctl.control.modes import Mode
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.key_folder import KeyFolder
 from rigctl.identity.roles import Role
 from rigctl.ipc import ledger
+from rigctl.model.states import Mode
 from rigctl.recorder.chain import ORIGIN, AuditEntry, line_of
 from tests.builders import daemons
 from tests.builders.every_option import documents, ended_well, spellings, untried

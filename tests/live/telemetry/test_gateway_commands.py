@@ -13,8 +13,8 @@ import pytest
 import zenoh
 
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.control.checks import Check
-from rigctl.control.modes import Setting, Verb
+from rigctl.model.checks import Check
+from rigctl.model.verbs import Setting, Verb
 from tests.builders.miniature import RUN_ID, Daemon, running
 from tests.builders.operators import KIM
 from tests.builders.waiting import patience_s, until

@@ -11,8 +11,9 @@ import pytest
 import zenoh
 
 from rigctl.client.connection import ASK_S, NoDaemonError
-from rigctl.control.modes import Verb, command_slot
+from rigctl.control.modes import command_slot
 from rigctl.ipc.record import RECORD
+from rigctl.model.verbs import Verb
 from rigctl.wire.block import decode
 from tests.builders.miniature import Daemon
 from tests.builders.waiting import patience_s, until

@@ -17,10 +17,10 @@ import pytest
 from rigctl.client.connection import Client
 from rigctl.client.shapes import Message
 from rigctl.client.stream import Stream
-from rigctl.control.modes import Verb
 from rigctl.gateway.command_socket import PER_USER
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.gateway.published_position import SENT_NS
+from rigctl.model.verbs import Verb
 from tests.builders.miniature import Daemon
 from tests.builders.operators import ANNA, KIM
 from tests.builders.paths import ROOT

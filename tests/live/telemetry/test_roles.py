@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 import pytest
 import zenoh
 
-from rigctl.control.modes import Verb
 from rigctl.identity import credentials
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.model.verbs import Verb
 from rigctl.wire.access_control import access_control
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import Keys

@@ -16,7 +16,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from rigctl.bridge import layouts
 from rigctl.bridge.prometheus_metrics import PREFIX, RigMetrics
-from rigctl.config.signals import RECORDED
+from rigctl.model.signals import RECORDED
 from rigctl.wire.schema import schema
 from tests.builders.promtool import promtool
 from tests.conftest import Command

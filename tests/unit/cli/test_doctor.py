@@ -16,8 +16,8 @@ from rigctl.cli import doctor, doctor_can, doctor_daemon, doctor_host
 from rigctl.cli.doctor_host import DoctorFinding, Severity
 from rigctl.config import rig_file as config
 from rigctl.config.can_section import CanSettings
-from rigctl.control.checks import Check
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.checks import Check
 from tests.builders.paths import ROOT
 from tests.conftest import Command
 

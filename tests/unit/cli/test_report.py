@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from rigctl.recorder.audit_log import Item
 from tests.builders.full_disk import files_of_at_most
 from tests.builders.paths import ROOT

@@ -8,8 +8,8 @@ import time
 import pytest
 
 from rigctl.cli import status
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 from tests.builders.page_states import LOCK_OUT, Shown, catalogue, picture_of, state, tripped
 
 HEAD = ("rig", "mode", "load")

@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from rigctl.cli import status
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, PowerOff
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode, PowerOff
 from tests.builders.page_states import state
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.checks import Check
+from rigctl.model.checks import Check
 from rigctl.wire import state_words as figures
 
 

@@ -20,8 +20,8 @@ from rigctl.client.decoding import SchemaError, layout_of, usable_schema
 from rigctl.client.rig_view import RigView
 from rigctl.client.shapes import MessageRefusedError, Refusals
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
+from rigctl.model.states import Mode
 from rigctl.page.panel import events_message, settings_message, state_message
 from rigctl.page.picture import Picture
 from rigctl.wire.event_message import event_message

@@ -17,13 +17,13 @@ import pytest
 from rigctl.client import local_hold
 from rigctl.client.local_daemons import local_daemons, same_endpoint
 from rigctl.config import layout
-from rigctl.control.faults import Fault
 from rigctl.control.hold_sockets import Hold, HoldSockets
-from rigctl.control.modes import Refusal
 from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.runtime_folder import ACTIVE, PUBLIC_MODE, Runtime
+from rigctl.model.faults import Fault
+from rigctl.model.verbs import Refusal
 from tests.builders.operators import KIM
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until

@@ -18,10 +18,10 @@ from rigctl.client.connection import NoDaemonError
 from rigctl.client.endpoint_probe import Met, probe
 from rigctl.client.local_daemons import LocalDaemon
 from rigctl.client.unanswered import Obstacle, Unanswered
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode
 from rigctl.ipc.folder_places import LOCK, FolderPlaces, digest
 from rigctl.ipc.public_slot import PublicSlot, SlotWriter
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
 from tests.builders.daemons import free_port
 
 ENDPOINT = "tcp/127.0.0.1:7447"

@@ -17,10 +17,10 @@ from rigctl.commission import preflight
 from rigctl.commission.preflight import Folder, Preflight, PreflightVerdict, judge
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.checks import HOST_CHECKS, Check
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.checks import HOST_CHECKS, Check
 from tests.builders.paths import ROOT
 from tests.builders.waiting import until
 

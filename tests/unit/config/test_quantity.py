@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config.quantity import Number, count, number, significant
-from rigctl.config.signals import WATCHED
 from rigctl.control.escalation import Symptom
 from rigctl.control.events import Kind, fault_text, worded
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.control.safety import Action
+from rigctl.model.faults import Fault
+from rigctl.model.signals import WATCHED
+from rigctl.model.states import Mode
 from rigctl.wire import state_words as figures
 
 VALUES = st.floats(allow_nan=True, allow_infinity=True) | st.sampled_from([-0.0, -1e-9, 37090.0, 1e17, 3.4e38, -0.004])

@@ -7,15 +7,15 @@ import subprocess
 import sys
 from operator import attrgetter
 
-from rigctl.config import signals
-from rigctl.config.signals import RECORDED, SIGNALS, WATCHED
 from rigctl.control.snapshot import Snapshot
+from rigctl.model import signals
+from rigctl.model.signals import RECORDED, SIGNALS, WATCHED
 
 ADDED = '    Signal("winch_mm", "d", "mm", "way of the winch", limit=Reading(99, "winch_mm", "mm", "", "stroke_mm")),\n'
 FOLLOWS = """
 import importlib.util, pathlib, sys
 import numpy as np
-spec = importlib.util.spec_from_file_location("rigctl.config.signals", sys.argv[1])
+spec = importlib.util.spec_from_file_location("rigctl.model.signals", sys.argv[1])
 module = importlib.util.module_from_spec(spec)
 sys.modules[spec.name] = module
 spec.loader.exec_module(module)

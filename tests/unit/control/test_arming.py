@@ -17,9 +17,9 @@ from rigctl.control.arming import (
     begin,
     prepare,
 )
-from rigctl.control.checks import Check
 from rigctl.control.power_seen import STILL_NS, PowerSeen, Standstill
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.checks import Check
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

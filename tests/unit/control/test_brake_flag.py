@@ -10,9 +10,9 @@ from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.control.brake_flag import TESTED_SHARE, BrakeFlag, KeptBrake
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

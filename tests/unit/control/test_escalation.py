@@ -9,9 +9,9 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
 from rigctl.control.events import Kind, worded
-from rigctl.control.faults import Fault
 from rigctl.control.safety import Action
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

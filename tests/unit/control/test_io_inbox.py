@@ -11,10 +11,10 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.control.control_process import receive_filters
 from rigctl.control.events import fault_text
-from rigctl.control.faults import Fault
 from rigctl.control.snapshot import EStop
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
+from rigctl.model.faults import Fault
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
 PAPER = config.load(CONFIG / "paper_rig.yaml")

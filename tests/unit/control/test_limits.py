@@ -10,14 +10,14 @@ from pydantic import ValidationError
 
 from rigctl.config import rig_file as config
 from rigctl.config.limits_section import LimitSettings, SignalName
-from rigctl.config.signals import WATCHED
 from rigctl.control import limits
 from rigctl.control.events import fault_text
-from rigctl.control.faults import Fault
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.modes import Mode
 from rigctl.control.safety import Action, Row
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault
+from rigctl.model.signals import WATCHED
+from rigctl.model.states import Mode
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 from tests.builders.snapshots import changed

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.faults import Fault, bits_of
 from rigctl.control.findings import HeldTensionSeen
 from rigctl.control.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
-from rigctl.control.modes import LoadAtRest
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.faults import Fault, bits_of
+from rigctl.model.states import LoadAtRest
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

@@ -6,14 +6,15 @@ from enum import IntEnum, IntFlag
 
 import pytest
 
-from rigctl.control.checks import Check
 from rigctl.control.ending import EndStep
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault, bits_of, faults_of
-from rigctl.control.modes import Event, HeldBy, LoadAtRest, Mode, PowerOff, Refusal, Setting, Verb
 from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.supervision import Doing
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault, bits_of, faults_of
+from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.verbs import Refusal, Setting, Verb
 
 NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {
     Mode: ("DISARMED=0 HOLD=1 TENSIONING=2 COMPENSATING=3 RELEASING=4 FAULT=5"),

@@ -13,8 +13,8 @@ from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.findings import PlausibilitySeen
-from rigctl.control.modes import Mode
 from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
+from rigctl.model.states import Mode
 from tests.builders import inboxes
 from tests.builders.paths import ROOT
 

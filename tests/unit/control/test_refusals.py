@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 
 from rigctl.control.events import refusal_text
-from rigctl.control.faults import Fault, Trait, bits_of
-from rigctl.control.modes import Mode, Refusal, Verb
+from rigctl.model.faults import Fault, Trait, bits_of
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Refusal, Verb
 
 LIMITS = (50.0, 350.0)
 

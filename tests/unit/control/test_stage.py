@@ -11,8 +11,6 @@ from hypothesis import strategies as st
 
 from rigctl.control import stage
 from rigctl.control.arming import ArmingStep
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
 from rigctl.control.stage import (
@@ -35,6 +33,9 @@ from rigctl.control.stage import (
     power,
 )
 from rigctl.devices.drive import Power
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.outcomes import MachineLog
 from tests.builders.paths import ROOT
 

@@ -13,14 +13,15 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
-from rigctl.control.faults import Fault
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.modes import Event, Mode, Refusal, Verb
 from rigctl.control.safety import Action, Trip
 from rigctl.control.situation import Situation
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.devices.drive import Power
+from rigctl.model.faults import Fault
+from rigctl.model.states import Event, Mode
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.outcomes import MachineLog, WatchLog
 from tests.builders.paths import ROOT
 from tests.builders.snapshots import changed, put

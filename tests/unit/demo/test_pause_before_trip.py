@@ -8,9 +8,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from rigctl.control.modes import Mode
 from rigctl.demo.live import Pause, pause_before_trip
 from rigctl.ipc.record import NEVER_AGE_NS, RECORD
+from rigctl.model.states import Mode
 from tests.builders.rig_bench import SETTINGS
 
 MS = 1_000_000

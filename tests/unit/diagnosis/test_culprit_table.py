@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE, Part
 from rigctl.diagnosis.residuals import Residuals
 from rigctl.diagnosis.table import TABLE, Clue
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 
 HEALTHY = Residuals(
     Fault.LIMIT, "tension_rate_n_s above", Mode.COMPENSATING, frozenset(), 6.0, 5.0, before_n=300.0, after_n=300.0,

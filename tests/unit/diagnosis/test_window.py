@@ -8,11 +8,11 @@ import numpy as np
 
 from rigctl.config import rig_file
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.diagnosis.diagnose import diagnose
 from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, Noted, around, latched, trips
 from rigctl.ipc.record import RECORD
+from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT
 
 S = 1_000_000_000

@@ -15,13 +15,13 @@ from rigctl.commission.frequency_response import plant_response
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control import frequency_trial
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.gateway.evaluation import EvaluationError, compared, evaluate, law_response
 from rigctl.gateway.excited_records import FIELDS, ExcitedRecords
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingWriter
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.model.states import Mode
 from tests.builders.linear_plant import Array, ComplexArray, TruePlant, true_sensitivities
 from tests.builders.paths import ROOT
 from tests.builders.synthetic_response import PLANT, TICK_S, amplitudes

@@ -7,11 +7,11 @@ import pathlib
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.modes import Verb
 from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.gateway.lease_service import IN_FORCE, NAMES_REPORTED, LeaseService
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.verbs import Verb
 from rigctl.wire.command_request import Request
 from tests.builders.paths import ROOT
 

@@ -18,7 +18,7 @@ from hil.faults.lockstep_run import KILLED_S
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from tests.builders.paths import ROOT
 
 Rows = npt.NDArray[np.void]

@@ -7,7 +7,7 @@ import pytest
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.fault_tables import show
 from hil.faults.judge import FaultResult
-from rigctl.control.faults import Fault
+from rigctl.model.faults import Fault
 
 
 def test_every_name_is_in_one_piece(capsys: pytest.CaptureFixture[str]) -> None:

@@ -23,12 +23,12 @@ from hil.texts.event_samples import samples
 from hil.texts.helps import helps
 from rigctl.cli.verb_table import VERBS
 from rigctl.control import events
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Refusal, Verb
 from rigctl.control.situation import Witness
 from rigctl.devices import emergency
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 

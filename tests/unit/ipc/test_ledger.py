@@ -11,11 +11,11 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.modes import Setting, Verb
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import LedgerError, Standing
+from rigctl.model.verbs import Setting, Verb
 from rigctl.wire.command_request import Request
 from tests.builders.durable import Disk
 from tests.builders.paths import ROOT

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigctl.control.modes import VALUES
 from rigctl.ipc.record import COMMAND, REPLY, figure_of
+from rigctl.model.verbs import VALUES
 
 FIGURES = [field.name for field in REPLY.fields if field.unit and field.name not in ("t_ns", "rms_n", "taken_s")]
 

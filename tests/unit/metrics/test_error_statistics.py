@@ -9,13 +9,13 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import filter_model
-from rigctl.control.modes import Mode
 from rigctl.control.tension import Gains
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import filter_gain
 from rigctl.design.performance import performance
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s, statistics
 from rigctl.metrics.phases import phases
+from rigctl.model.states import Mode
 from rigctl.report.spectrum import bandwidth_hz, named_lines, spectrum
 from tests.builders import daemons
 from tests.builders.synthetic import GAINS, RATE_HZ, Floats, compensating, run, stay

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigctl.control.modes import Mode
 from rigctl.metrics.phases import phases
+from rigctl.model.states import Mode
 from tests.builders.synthetic import RATE_HZ, run, stay
 
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
 from rigctl.metrics import tension_error as metrics
+from rigctl.model.states import Mode
 
 
 def test_percentiles_are_in_microseconds() -> None:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode
 from rigctl.ipc.record import RECORD
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
 from rigctl.page.chart_signals import SIGNALS, values_of
 from rigctl.wire.state_words import error, on_ramp
 

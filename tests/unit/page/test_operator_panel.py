@@ -6,9 +6,11 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.checks import Check
-from rigctl.control.modes import Mode, Verb, answer
+from rigctl.control.modes import answer
 from rigctl.control.situation import Situation
+from rigctl.model.checks import Check
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.page.operator_panel import answers, devices, timing
 from rigctl.wire.offers import BUTTONS, NO_LOOP, PAY_OUT, not_now, refused_now, refused_with
 from tests.builders.offered import offered

@@ -12,8 +12,8 @@ import pytest
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
+from rigctl.model.faults import Fault
 from rigctl.recorder import parts, recording
 from rigctl.recorder.recorder_process import Recorder
 

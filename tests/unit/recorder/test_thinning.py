@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.modes import Verb
 from rigctl.ipc.record import HOLD_ID
+from rigctl.model.verbs import Verb
 from rigctl.recorder import thinning
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.thinning import (

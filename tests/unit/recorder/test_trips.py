@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Event, Mode
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.faults import Fault
+from rigctl.model.states import Event, Mode
 from rigctl.recorder.trips import AFTER_NS, Trigger, Trips, first_group
 
 S = 1_000_000_000

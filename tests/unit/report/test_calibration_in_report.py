@@ -6,8 +6,8 @@ import pathlib
 
 import pytest
 
-from rigctl.control.modes import Mode
 from rigctl.ipc.ledger import Entry, Standing
+from rigctl.model.states import Mode
 from rigctl.recorder.recording import read
 from rigctl.report import tables
 from rigctl.report.findings import Findings, find

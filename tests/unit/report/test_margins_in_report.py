@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pathlib
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from rigctl.recorder.recording import read
 from rigctl.report import tables
 from rigctl.report.findings import find

@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from rigctl.control.modes import Mode
+from rigctl.model.states import Mode
 from rigctl.recorder.audit_log import Item
 from rigctl.recorder.recording import read
 from rigctl.report.findings import find

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigctl.control.events import Kind
-from rigctl.control.faults import EACH_SECOND
 from rigctl.ipc.record import EVENT
+from rigctl.model.faults import EACH_SECOND
 from rigctl.supervisor.event_lines import AGAIN_NS, KEPT, EventLines
 
 S = 1_000_000_000

@@ -6,9 +6,11 @@ import re
 
 import pytest
 
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode, Refusal, Verb, decide
+from rigctl.control.modes import decide
 from rigctl.control.situation import Situation
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
+from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.panel import state_message
 from rigctl.wire.offers import BUTTONS
 from rigctl.wire.operator_view import KEEP_OUT, LOCK_OUT_FIRST

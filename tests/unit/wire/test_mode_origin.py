@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.control.events import Kind
-from rigctl.control.modes import Event, Mode
+from rigctl.model.states import Event, Mode
 from rigctl.wire.mode_origin import ModeOrigin
 from tests.unit.wire.test_alarms import S, event
 

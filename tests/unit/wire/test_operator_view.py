@@ -6,12 +6,13 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.checks import Check
 from rigctl.control.events import Kind, fault_text
-from rigctl.control.faults import Fault
-from rigctl.control.modes import Mode, Verb
 from rigctl.control.safety import Action
 from rigctl.diagnosis.part import Part
+from rigctl.model.checks import Check
+from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.wire import state_words
 from rigctl.wire.alarm_words import banner_rows
 from rigctl.wire.alarms import Alarms

@@ -13,10 +13,10 @@ import pytest
 
 from rigctl.client.decoding import KNOWN_VERSIONS, SchemaError, layout_of
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault, faults_of
-from rigctl.control.modes import Verb
 from rigctl.ipc.notes import Note, note_message
 from rigctl.ipc.record import EVENT, NOTE, RECORD
+from rigctl.model.faults import Fault, faults_of
+from rigctl.model.verbs import Verb
 from rigctl.wire import command_request as request
 from rigctl.wire.block import decode, encode
 from rigctl.wire.event_message import event_message

@@ -20,8 +20,6 @@ from hypothesis import strategies as st
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.config import rig_file as config
 from rigctl.control.events import Kind
-from rigctl.control.faults import Fault
-from rigctl.control.modes import HeldBy, Mode
 from rigctl.control.safety import Action
 from rigctl.devices.objects import DriveState
 from rigctl.gateway import published_position
@@ -35,6 +33,8 @@ from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
 from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import percentiles_us
+from rigctl.model.faults import Fault
+from rigctl.model.states import HeldBy, Mode
 from rigctl.wire.event_message import event_message
 from rigctl.wire.record_names import ALIVE_NS, quality_words
 from rigctl.wire.state_message import Recent, TripEvents, state_of, warnings_of
