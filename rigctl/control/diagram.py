@@ -13,7 +13,7 @@ from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Guard, decide
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS
 from rigctl.control.safety import Action
 from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
+from rigctl.control.stage import ARM_LIMIT_NS, OFF_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
 from rigctl.model.states import Event, Mode
 from rigctl.model.verbs import Refusal, Verb
 
@@ -29,10 +29,15 @@ before it is switched off.
 
 A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began: whatever ends it
 (slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone; `lower`, or
-`release` while the motor carries the load, leaves it for as long as the motor lowers the load. `reset` leads to HOLD,
-held by the brake, if the rig was armed and FAULT has parked it. It leads to DISARMED, so that a whole arming with its
-brake test follows, if the rig was not armed, was disarmed in FAULT, its drive is or was in a fault of its own, or its
-power was taken away (by `quick_stop` and stronger actions, which an emergency stop has too, or by the drive itself).
+`release` while the motor carries the load, leaves it for as long as the motor lowers the load.
+
+`reset` leads to HOLD only if
+
+- the rig was armed, and FAULT has parked it, the load on the brake,
+- the drive was in no fault of its own, and has not gone off by itself, and
+- neither an emergency stop, `quick_stop`, `power_off` nor `silence`, nor `disarm`, has come since.
+
+Else it leads to DISARMED, so that a whole arming with its brake test follows.
 """
 _EVENTS = {
     Event.ENABLED: "drive enabled after `arm`",
@@ -55,7 +60,8 @@ _EVENTS = {
 _ACTIONS = {
     Action.LOG: "an event when it begins and when it is over",
     Action.RAMP_DOWN: "the tension is lowered on its ramp until the rope is slack, then FAULT; a hold ends it",
-    Action.HOLD: "FAULT: the motor stops the stroke; at standstill the brake takes the load and the drive goes off",
+    Action.HOLD: "FAULT: the motor stops the stroke; at standstill the brake takes the load and the drive goes off, "
+    "unless it is known not to hold",
     Action.QUICK_STOP: "FAULT: the drive stops on its own ramp (0x6085), then closes its brake and goes off",
     Action.POWER_OFF: "the same, and power is cut, which closes the brake, once the drive has had its time to stop",
     Action.SILENCE: "power off by SDO and NMT stop to the drive, then neither command nor heartbeat: its own "
@@ -66,7 +72,8 @@ _STAGES = """
 
 One machine, whatever the mode, in the words of IEC 61800-5-2: STO (safe torque off), SS1 (safe stop 1), SOS (safe
 operating stop), SBC (safe brake control) and SBT (safe brake test). A command that needs the motor waits in PREPARE,
-ENABLE or RESET; where it is refused or aborted, the stage is again the one before. Only ENABLE switches a drive on.
+ENABLE or RESET; where it is refused or aborted, or a trip ends it, the stage is again the one before, without an arrow
+here. Only ENABLE switches a drive on.
 """
 _ROWS_HEAD = """
 What ends the wait of a command, and the motor's hold, in order:
@@ -82,7 +89,8 @@ Who holds the load over time:
 | parking, `disarm`, end | STOP: the motor, until the stroke is at rest, at most {STOP_LIMIT_NS * 1e-9:g} s | STOP: \
 the brake closes, the motor holds until it has | OFF: the brake |
 | `quick_stop` | QUICK: the motor, on the drive's own ramp | QUICK: the drive closes its brake | QUICK: the brake |
-| `power_off` | QUICK: the motor, on the drive's own ramp, for the longest stop of the rig file | \
+| `power_off` | QUICK: the motor, on the drive's own ramp, for the longest stop of the rig: \
+`tension.speed_max_mm_s` over `cylinder.stop_deceleration_mm_s2`, and two lags | \
 CUT: no torque, the brake closes | CUT: the brake |
 | `silence` | SILENT: power cut by SDO, NMT stop | SILENT: the drive's own supervision, for \
 {SUPERVISED_NS * 1e-9:g} s at most | SILENT: the brake |
@@ -96,7 +104,7 @@ _HOLDS = {
     DriveStage.QUICK: "the motor, then the brake",
     DriveStage.CUT: "the brake, once it has closed",
     DriveStage.SILENT: "the drive's own supervision: the motor, then the brake",
-    DriveStage.PREPARE: "the brake",
+    DriveStage.PREPARE: "as before, until a drive that still stops is off; then the brake",
     DriveStage.ENABLE: "the brake, then the motor",
     DriveStage.RESET: "as before",
 }
@@ -109,7 +117,7 @@ The record's `held_by` is made of the stage, of what the drive reports, and of t
 |---|---|---|
 | `MOTOR` | held by the motor | SOS: the drive is enabled and follows its commands; the brake takes over after \
 `hold.park_s` at standstill in HOLD, after {STILL_NS * 1e-9:g} s in FAULT; during `carry`, \
-and on a rig without a brake, the motor goes on |
+with a brake known not to hold, and on a rig without a brake, the motor goes on |
 | `CLOSING` | brake closing | the drive stops, closes its brake and goes off; for {SETTLES_NS * 1e-9:g} s the load may \
 not be seen at rest yet |
 | `BRAKE` | held by the brake | SBC: the drive reports that it is off, for as long as its brake takes to close, and \
@@ -134,8 +142,8 @@ an event with the value found and the limit.
 
 _LEGEND = [
     "`-`: the command is refused in this mode. `carried out`: the mode stays as it is; after `arm` it is HOLD once the",
-    "drive is enabled, and after `disarm` in FAULT the drive is off. A guard in brackets refuses the command if its",
-    "condition is not met.",
+    "drive is enabled, and after `disarm` in FAULT the drive is off; `carry` and `lower` latch BRAKE_SLIPS first, so",
+    "that it is FAULT. A guard in brackets refuses the command if its condition is not met.",
     "",
 ]
 
@@ -154,7 +162,10 @@ def document() -> str:
     parts += [f"- `{guard.__name__}`: {_said(guard)}" for guard in named]
     parts += ["", "## Commands", "", *_LEGEND, "| command | " + " | ".join(mode.name for mode in Mode) + " |"]
     parts += ["|---" * (len(Mode) + 1) + "|"]
-    parts += [f"| `{verb.name.lower()}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |" for verb in Verb]
+    parts += [
+        f"| `{verb.name.lower().replace('_', '-')}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |"
+        for verb in Verb
+    ]
     parts += ["", "## Actions of the safety table, the weakest first", ""]
     parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
     steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
@@ -170,9 +181,14 @@ def _stages() -> str:
     parts += [
         f"    {one.name} --> {to.name}: {', or '.join(why).replace('`', '')}" for (one, to), why in arrows.items()
     ]
+    parts += [f"    {DriveStage.SILENT.name} --> [*]: reset, start-up brings all devices up again"]
     parts += ["```", "", "| stage | meaning | the load is held by |", "|---|---|---|"]
     parts += [f"| {stage.name} | {stage.value} | {_HOLDS[stage]} |" for stage in DriveStage]
     rows = [f"| {row.stage.name} | {row.words} | {_leads_to(row)} | {_answer(row.answer)} |" for row in ROWS]
+    rows += [
+        "| any | `disarm` waits, and the drive is seen off | OFF from STOP, else as before | carried out |",
+        f"| any | the same, and it is not seen off after {OFF_LIMIT_NS * 1e-9:g} s | as before | `off_unseen` |",
+    ]
     return "\n".join(parts) + "\n" + _OVER_TIME + _ROWS_HEAD + "\n".join(rows) + "\n"
 
 

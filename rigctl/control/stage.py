@@ -41,8 +41,8 @@ class DriveStage(Enum):
     STOP = "SS1, then SBC: the stroke comes to rest, the drive closes its brake and goes off"
     RUN = "the motor has the load: it moves the stroke, or holds it (SOS)"
     QUICK = "the drive stops on its own ramp, closes its brake and goes off, whatever the loop commands else"
-    CUT = "STO at once: the power is cut, which closes the brake"
-    SILENT = "nothing is sent to the drive: its own supervision stops it"
+    CUT = "STO: the power is cut, which closes the brake"
+    SILENT = "the power is cut by SDO, then nothing is sent to the drive: its own supervision stops it"
     PREPARE = "a command waits for an off drive, a stroke at rest and the brake test (SBT); the power is as before"
     ENABLE = "the drive is commanded on: its motor takes the load from the brake"
     RESET = "the drive's own fault is being reset"
@@ -53,7 +53,9 @@ class Input(Enum):
 
     NEEDED = "a command is accepted that needs the motor"
     PREPARED = "all that is awaited has come, the brake has held"
-    TAKEN_BACK = "the brake slips in its first second, or for the second time in a test"
+    TAKEN_BACK = (
+        "the brake slips in its first second, in `brake-test`, or in the test of `arm` once it is known not to hold"
+    )
     ENABLED = "the drive is enabled"
     NOT_ENABLED = "not enabled in its time, with a fault latched"
     KEPT = "the motor keeps a load that it was to give to a brake known not to hold"
@@ -61,7 +63,7 @@ class Input(Enum):
     WITHDRAWN = "the command is refused, aborted, or ended by a trip"
     DRIVE_RESET = "`reset` of a drive in its own fault"
     RESET = "the latched fault is reset"
-    PARKED = "the brake is to take the load: parking, `disarm`, `brake-test`, or the end of the process"
+    PARKED = "the brake is to take the load: parking, `disarm`, `brake-test`, or an end of the process"
     SEEN_OFF = "the drive is seen off, its brake closed"
     SEEN_ON = "it is not seen so any more"
     QUICK_STOPPED = "a trip with `quick_stop` or `power_off`"
@@ -271,7 +273,8 @@ KEPT = StageRow(
 )  # fmt: skip
 SLIPPED = StageRow(
     DriveStage.PREPARE, lambda _, seen: seen.prepared is ArmingStep.SLIPPED, Input.WITHDRAWN, Refusal.BRAKE_SLIPPED,
-    "the load moves in the brake test", "test_a_brake_that_slips_in_its_test_refuses_the_command",
+    "the load moves in the brake test; the motor takes it back from a brake known not to hold, and in `brake-test`",
+    "test_a_brake_that_slips_in_its_test_refuses_the_command",
 )  # fmt: skip
 READY = StageRow(
     DriveStage.PREPARE, lambda _, seen: seen.prepared is ArmingStep.READY, Input.PREPARED, Refusal.NONE,
@@ -310,7 +313,8 @@ ROWS = (
     ),
     StageRow(
         DriveStage.ENABLE, lambda at, seen: seen.latched and _late(at, seen), Input.NOT_ENABLED, Refusal.DRIVE_TIMEOUT,
-        f"with a fault latched, not enabled after {_s(ARM_LIMIT_NS)}: its brake has to close, whatever it does now",
+        f"with a fault latched, not enabled after {_s(ARM_LIMIT_NS)}: the drive is commanded to stop, to close its "
+        "brake and to go off, and then its power is cut",
         "test_a_carry_whose_drive_does_not_come_on_has_the_brake_closed",
     ),
     StageRow(
@@ -319,12 +323,12 @@ ROWS = (
     ),
     StageRow(
         DriveStage.RUN, lambda at, seen: at.carry_until_ns > 0 and seen.gone, Input.PARKED, None,
-        "the motor carries for a brake that does not hold: it goes off, or another cause than the slip ends it",
+        "the motor carries, and goes off; or another cause than the slip is active, and the brake is not known to fail",
         "test_a_carry_ends_on_the_brake_or_by_lowering",
     ),
     StageRow(
         DriveStage.RUN, lambda at, seen: 0 < at.carry_until_ns <= seen.t_ns, Input.LOWERED, None,
-        "its time is over: the motor lowers the load, from HOLD as by `release`",
+        "its time is over: RELEASING, until the rope is slack; from HOLD it ends in HOLD, from FAULT in FAULT",
         "test_a_carry_ends_on_the_brake_or_by_lowering",
     ),
     KEPT,
@@ -335,7 +339,7 @@ ROWS = (
     ),
     StageRow(
         DriveStage.RUN, lambda _, seen: seen.ended, Input.PARKED, None,
-        "the process ends: the stroke is at rest, or its time is over",
+        "the process ends, and no load delays it: the stroke is at rest, or its time is over",
         "test_a_process_that_ends_leaves_the_load_on_the_brake",
     ),
 )  # fmt: skip

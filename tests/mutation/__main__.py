@@ -1,6 +1,6 @@
 """``python -m tests.mutation``: mutants against their tests; see docs/mutation.md.
 
-All mutants of modes, safety table and tension law, and a fixed random sample of the other packages.
+All mutants of modes, stages, safety table and tension law, and a fixed random sample of the other packages.
 Exit code 1 when too few are killed, or a survivor is not argued in that file.
 """
 
@@ -25,6 +25,7 @@ PAGE = ROOT / "docs/mutation.md"
 VERDICTS = ROOT / "results/mutation/sample.json"
 TESTS = {
     "rigctl/control/modes.py": ("test_modes", "test_numbers_on_record", "test_diagram"),
+    "rigctl/control/stage.py": ("test_stage", "test_modes", "test_stateful"),
     "rigctl/control/safety.py": ("test_safety_table", "test_safety", "test_limits", "test_numbers_on_record"),
     "rigctl/control/tension.py": ("test_law", "test_tension"),
 }

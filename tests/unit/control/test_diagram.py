@@ -24,7 +24,11 @@ def test_every_transition_between_two_modes_is_an_arrow() -> None:
 def test_every_stage_of_the_drive_is_in_the_picture_with_all_that_leads_to_it() -> None:
     picture = diagram.document().partition("## Drive, brake and load")[2].partition("| stage |")[0]
     arrows = {tuple(line.strip().split(":")[0].split(" --> ")) for line in picture.splitlines() if " --> " in line}
-    assert arrows == {("[*]", "STOP"), *((before.name, after.name) for (before, _), after in STAGES.items())}
+    assert arrows == {
+        ("[*]", "STOP"),
+        ("SILENT", "[*]"),
+        *((before.name, after.name) for (before, _), after in STAGES.items()),
+    }
 
 
 def test_every_row_that_ends_a_wait_is_in_the_table() -> None:
