@@ -118,7 +118,7 @@ def test_status_loads_the_client_and_nothing_of_the_daemon() -> None:
     assert code == 1
     assert not top(modules) & (SLOW - STATUS_NEEDS)
     folders = {name.split(".")[1] for name in modules if name.startswith("rigctl.")}
-    assert folders <= {"cli", "client", "wire", "diagnosis", "identity", "ipc", "config", "control", "metrics"}
+    assert folders <= {"cli", "client", "wire", "diagnosis", "identity", "ipc", "config", "control", "metrics", "model"}
 
 
 @pytest.mark.parametrize("row", VERBS, ids=lambda row: row.name)

@@ -21,8 +21,8 @@ OWN = {
 """By module: names of the values that it makes for itself, or for others to read. The list only shrinks."""
 FINDINGS = {"seen", "self.seen"}
 """Of the detector that has made them, see `rigctl.control.findings`."""
-OUTSIDE = {"checks": {"member"}, "control_process": {"loop"}, "faults": {"member"}}
-"""In no tick: members of an enumeration as they are made, and a signal's handler."""
+OUTSIDE = {"control_process": {"loop"}}
+"""In no tick: a signal's handler."""
 
 
 def assigned(function: ast.FunctionDef) -> set[str]:
