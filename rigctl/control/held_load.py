@@ -15,7 +15,7 @@ from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import SLIP_BITS, Machine
 from rigctl.control.observer import Observer
 from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
-from rigctl.control.power_seen import stopping_ns
+from rigctl.control.power_seen import STILL_NS, stopping_ns
 from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.situation import Witness
@@ -91,7 +91,9 @@ class HeldLoad:
         measures = trial is not None and not trial.power_s
         powered = at.motor and not (at.ends or delayed)
         if self._parking.due(t_ns, machine.mode, snapshot, powered=powered, until_ns=until_ns, measures=measures):
-            row = machine.follow(TickSeen(t_ns, enabled, due=True, fails=self.kept_by_motor))
+            # A motor that does not hold, or that an active cause would stop, does not keep the load.
+            holds = snapshot.still_ns >= STILL_NS and not self.carried.stopped_by(self._watch.standing)
+            row = machine.follow(TickSeen(t_ns, enabled, due=True, fails=holds and self.kept_by_motor))
             if row is KEPT:
                 self.carried.begin(Witness.BOTH, self._watch.standing, snapshot)
                 self._logbook.held(t_ns, HeldBy.MOTOR, HeldBy.MOTOR, KEPT_NS * 1e-9, machine.mode.name.encode())
@@ -224,9 +226,11 @@ class HeldLoad:
     @property
     def carries(self) -> bool:
         """The motor has a load that would sink without it, by CARRY or LOWER or on a brake known not to hold."""
-        machine = self._machine
-        if machine.sequence.carries:
+        at, mode = self._machine.sequence, self._machine.mode
+        if at.carries:
             return True
-        if not (self.brake.fails and machine.sequence.motor) or machine.mode is Mode.FAULT:
+        if not (self.brake.fails and at.motor):
             return False
-        return machine.mode is Mode.RELEASING or not self._observer.slack
+        if mode is Mode.FAULT:  # the motor is about to keep it
+            return self.kept_by_motor and self._observer.snapshot.drive_enabled
+        return mode is Mode.RELEASING or not self._observer.slack

@@ -45,16 +45,14 @@ from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
 from rigctl.model.faults import Fault
-from rigctl.model.states import HeldBy, Mode, PowerOff
+from rigctl.model.states import Mode, PowerOff
 from rigctl.model.verbs import Verb
 
 COMMANDS_PER_TICK = 4
 FAILING_TICKS = 100  # consecutive ticks that end in an exception, after which the drive stops and goes off
 SILENT_TICKS = 1000  # and after which it is left to its own supervision, whether it has gone off or not
 SKIP_NOTICE = 5  # ticks skipped at once from which an event is written
-_MOVES_BIT = Fault.STROKE_MOVES.bit
 _ENDS_BY_ITSELF = frozenset({Mode.TENSIONING, Mode.RELEASING})
-_ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})
 LawFactory = Callable[[RigSettings, Gains, Inbox], TensionLaw]
 
 

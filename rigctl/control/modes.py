@@ -298,7 +298,7 @@ def answer(mode: Mode, verb: Verb, situation: Situation) -> Decision:
         return Decision(Refusal.WRONG_MODE)
     if verb == situation.pending or (situation.disarming and verb is Verb.DISARM):
         return Decision(Refusal.ALREADY)
-    if situation.pending == Verb.ARM and verb in TRIED_IN:
+    if situation.pending and verb in TRIED_IN and verb not in ENDS_PENDING:  # it would be answered by the other's end
         return Decision(Refusal.WRONG_MODE)
     stops = verb is Verb.HOLD or (verb is Verb.DISARM and mode is Mode.DISARMED)
     if stops and (situation.pending or (situation.tries and mode is Mode.DISARMED)):

@@ -221,7 +221,7 @@ class TickSeen(NamedTuple):
     ``enabled`` and ``faulted``: the drive, by its own report. ``cause``: what keeps a fault from being reset, which may
     begin while a RESET waits. ``prepared`` and ``barred``: of a command that waits for what goes before the drive's
     power, and by its checks. ``latched``: a fault is. ``due``: a load that the motor holds is to be parked. ``fails``:
-    the brake is known not to hold, and the rope is tight. ``gone``:
+    the brake is known not to hold, the rope is tight, and the motor holds. ``gone``:
     the motor that carries for a brake is not enabled, or another cause than the slip ends it. ``ended``: the stroke of
     a process that ends is at rest, or its time is over.
     """
@@ -267,8 +267,8 @@ def _s(limit_ns: int) -> str:
 
 KEPT = StageRow(
     DriveStage.RUN, lambda _, seen: seen.due and seen.fails and seen.enabled, Input.KEPT, None,
-    f"a parking is due, the brake is known not to hold, and the rope is tight: the motor keeps the load for "
-    f"{KEPT_NS // 60_000_000_000} min",
+    f"a parking is due at standstill, the brake is known not to hold, the rope is tight, and no active cause stops a "
+    f"motor that carries: the motor keeps the load for {KEPT_NS // 60_000_000_000} min",
     "test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold",
 )  # fmt: skip
 SLIPPED = StageRow(

@@ -8,7 +8,7 @@ import pytest
 
 from hil.faults import stand
 from hil.faults.in_controller import trip
-from hil.faults.in_device import brake_slips
+from hil.faults.in_device import brake_slips, creeps
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
@@ -22,7 +22,7 @@ from rigctl.model.faults import Fault
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
-from tests.builders.loop_changes import end_time_of_carrying
+from tests.builders.loop_changes import doubt_stroke, end_time_of_carrying
 from tests.builders.loop_frames import worded_events
 
 LIMIT_S = 25.0
@@ -168,3 +168,29 @@ def test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold(held: Lockstep
     assert held.view.slack
     held.run(held.settings.hold.park_s + 2.0)
     assert (held.loop.machine.mode, held.view.braked) == (mode, True), "a slack rope is left to any brake"
+
+
+def test_a_fault_while_an_end_waits_for_the_load_does_not_give_it_to_that_brake(held: Lockstep) -> None:
+    """The motor has the load in FAULT too: the end goes on waiting, and lowers it."""
+    slips(held, 0.5)
+    held.loop.brake.set("a test of the test")
+    before_mm = held.rig.truth.stroke_mm
+    held.loop.stop_requested = True
+    held.run(3.0)
+    trip(held, Action.HOLD)
+    held.run(3.0)
+    assert (held.loop.machine.mode, held.loop.finished) == (Mode.FAULT, False)
+    assert held.record["held_by"] == HeldBy.MOTOR
+    assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM
+    held.run_until(Mode.RELEASING, 10.0)
+
+
+def test_a_motor_that_does_not_hold_keeps_no_load(held: Lockstep) -> None:
+    """A drive that creeps in FAULT, uncorrected, moves the load: its own stop and brake end that."""
+    held.loop.brake.set("a test of the test")
+    trip(held, Action.HOLD)
+    doubt_stroke(held)
+    creeps(0.3)(Stand(held, "brake test"))
+    held.run(3.0)
+    assert held.loop.machine.mode is Mode.FAULT
+    assert not held.view.carries

@@ -57,6 +57,13 @@ def test_nothing_is_measured_while_the_rig_is_armed() -> None:
     }
 
 
+@pytest.mark.parametrize("verb", [Verb.TARE, Verb.CALIBRATE])
+def test_nothing_is_measured_while_a_command_waits_for_the_drive(verb: Verb) -> None:
+    """IDENTIFY would end with the measurement's figures, and the measurement without an answer."""
+    assert answer(Mode.HOLD, verb, replace(READY, pending=Verb.IDENTIFY)).refusal is Refusal.WRONG_MODE
+    assert answer(Mode.HOLD, Verb.IDENTIFY, replace(READY, pending=Verb.TENSION)).refusal is Refusal.NONE
+
+
 def test_a_trial_of_a_disarmed_rig_ends_by_hold_or_disarm() -> None:
     tries = replace(READY, tries=True)
     assert answer(Mode.DISARMED, Verb.HOLD, tries) == answer(Mode.DISARMED, Verb.DISARM, tries) == Decision(ends=True)
