@@ -231,6 +231,7 @@ class HeldLoad:
             return True
         if not (self.brake.fails and at.motor):
             return False
-        if mode is Mode.FAULT:  # the motor is about to keep it
-            return self.kept_by_motor and self._observer.snapshot.drive_enabled
+        if mode is Mode.FAULT:  # the motor is about to keep it; after a ramp it has lowered it
+            ramped = at.action is Action.RAMP_DOWN
+            return self.kept_by_motor and self._observer.snapshot.drive_enabled and not ramped
         return mode is Mode.RELEASING or not self._observer.slack
