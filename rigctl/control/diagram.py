@@ -13,7 +13,7 @@ from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Guard, decide
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS
 from rigctl.control.safety import Action
 from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, OFF_LIMIT_NS, ROWS, STAGES, DriveStage, Sequence, StageRow
+from rigctl.control.stage import ARM_LIMIT_NS, OFF_LIMIT_NS, ROWS, STAGES, DriveStage, Input, Sequence, StageRow
 from rigctl.model.states import Event, Mode
 from rigctl.model.verbs import Refusal, Verb
 
@@ -194,6 +194,8 @@ def _stages() -> str:
 
 def _leads_to(row: StageRow) -> str:
     after = STAGES.get((row.stage, row.input))
+    if row.input is Input.RESET:
+        return "the stage before; STOP from QUICK and CUT"
     return after.name if after is not None else row.stage.name if row.answer is None else "the stage before"
 
 

@@ -9,7 +9,7 @@ from rigctl.control.machine import Machine
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.preload import Preload
-from rigctl.control.stroke_hold import SAID_MM, StrokeHold
+from rigctl.control.stroke_hold import REPORTED_MM, StrokeHold
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import NmtState
@@ -17,7 +17,7 @@ from rigctl.devices.objects import NmtState
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000
 START_AGAIN_NS = 300_000_000  # a node has heard heartbeats of ours by then
-NEVER_NS = 1 << 62
+NOT_AGAIN_NS = 1 << 62
 SAFE_FRAMES = 10  # commands of no speed in a row before the drive is switched on, and before it is switched off
 
 
@@ -67,7 +67,7 @@ class DriveCommand:
 
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
-        held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= SAID_MM
+        held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= REPORTED_MM
         return (self.moves or unsafe) and t_ns < self._off_until and held
 
     def start_again(self, t_ns: int) -> None:
@@ -75,7 +75,7 @@ class DriveCommand:
 
         Not to one that has booted since its configuration: it has lost it.
         """
-        first, self.start_again_ns = self.start_again_ns == 0, NEVER_NS
+        first, self.start_again_ns = self.start_again_ns == 0, NOT_AGAIN_NS
         if first:
             self.start_again_ns = t_ns + START_AGAIN_NS
             return

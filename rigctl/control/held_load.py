@@ -21,7 +21,7 @@ from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import KEPT, KEPT_NS, TickSeen
-from rigctl.control.stroke_hold import CREEP_MM_S, SAID_MM, StrokeHold
+from rigctl.control.stroke_hold import CREEP_MM_S, REPORTED_MM, StrokeHold
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.control.trials import Trial
 from rigctl.model.faults import Fault
@@ -135,12 +135,20 @@ class HeldLoad:
                 machine.trip(found.trip, t_ns, slack=slack)
 
     def look_at_brake(self, t_ns: int, trip: Trip | None) -> Trip | None:
-        """Whether the brake is known not to hold; returns what trips then of what trips now."""
+        """Whether the brake, which has the load or may get it, is known not to hold; returns what trips then.
+
+        ``trip``: what trips elsewhere.
+        """
         snapshot, brake = self._observer.snapshot, self.brake
         brake.look(self._watch.standing, snapshot, braked=snapshot.drive_off and self._observer.snapshot.power.braked)
         if brake.changed:
             self.note_brake(t_ns)
-        return self._trip_of_carried(snapshot) if self.on_motor else trip
+        if not self.on_motor:
+            return trip
+        ends = self._trip_of_carried(snapshot)
+        if ends is None and trip is not None and self._machine.fault is Fault.NONE:  # in HOLD: the motor goes on
+            return replace(trip, action=Action.HOLD)
+        return ends
 
     def note_brake(self, t_ns: int) -> None:
         """The brake is known not to hold from now on, or to hold again."""
@@ -205,7 +213,7 @@ class HeldLoad:
         else:
             hold.watch(now_ns, snapshot, self._law.command_mm_s)
             if hold.left:
-                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=SAID_MM)
+                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=REPORTED_MM)
         if moves or (trial is not None and machine.mode is Mode.DISARMED):  # a weight of a tare or a calibration
             self._tension.follow()
         else:

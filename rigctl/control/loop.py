@@ -110,7 +110,7 @@ class Loop:
             tension, self._signs, self._probe, self._rope,
         )  # fmt: skip
         self.finished = self.stop_requested = False
-        self.exceptions_untold = 0
+        self.exceptions_unreported = 0
         self.repeated_stops = 0  # requests to end after the first: the next one leaves a load that delays the end
         self._clock, self._commands = clock, rings.commands
         self._holds: HoldSource = GivenHolds() if holds is None else holds
@@ -191,7 +191,7 @@ class Loop:
         machine, snapshot, orders, held = self.machine, self.observer.snapshot, self._orders, self._load
         trip = self._watch.look(snapshot, machine.watched_mode, t_ns)
         self._rope.look(self._watch.standing, snapshot)
-        load = machine.fault is not Fault.NONE or not snapshot.drive_enabled  # the brake has it, or may get it
+        load = machine.fault is not Fault.NONE or not snapshot.drive_enabled or machine.sequence.carries
         trip = held.look_at_brake(t_ns, trip) if load else trip
         self._tripped = held.undo_parking(t_ns) or self._tripped
         if trip is not None and machine.trip(trip, t_ns, slack=self.observer.slack):
@@ -355,7 +355,7 @@ class Loop:
         try:
             self._logbook.notice(t_ns, Kind.EXCEPTION, 0, 0, _place(error))
         except Exception:  # noqa: BLE001 - no event can be written; the latched fault is in every record
-            self.exceptions_untold += 1
+            self.exceptions_unreported += 1
 
 
 def _place(error: BaseException) -> bytes:

@@ -153,7 +153,9 @@ class Machine:
             return False
         if self.fault is Fault.NONE:
             self.fault = trip.fault
-        changes: dict[str, object] = {"action": action, "carry_until_ns": 0}
+        # In HOLD on a brake that is known not to hold, a trip that holds leaves the load to the motor.
+        changes: dict[str, object] = {"action": action}
+        changes["carry_until_ns"] = at.carry_until_ns if action is Action.HOLD else 0
         if action >= Action.QUICK_STOP > at.action:  # a quick stop under way keeps its deadline
             changes |= {"armed": False, "cut_ns": t_ns + self._cut_after_ns}
         if trip.at_once:
@@ -236,7 +238,9 @@ class Machine:
         self.end_trial(Refusal.ABORTED)
         if verb not in modes.WHILE_DISARMING:
             self._end_disarming(Refusal.ABORTED)
-        if verb in modes.ENDS_PENDING:
+        command = self.sequence.command
+        takes_back = command is not None and command.id is None  # that the motor holds is what a HOLD wants
+        if verb in modes.ENDS_PENDING and not (verb is Verb.HOLD and takes_back):
             self.refuse_pending(Refusal.ABORTED)
 
     def _answer(self, command: Accepted, refusal: Refusal) -> Refusal:
@@ -270,7 +274,7 @@ class Machine:
     def _end_wait(self, row: StageRow, command: Accepted, t_ns: int) -> None:
         changes: dict[str, object] = {}
         if row.input is Input.NOT_ENABLED:
-            changes = {"action": Action.POWER_OFF, "cut_ns": t_ns + self._cut_after_ns}
+            changes = {"action": Action.POWER_OFF, "cut_ns": t_ns + self._cut_after_ns, "armed": False}
         self.sequence = stage.after(self.sequence, row.input, t_ns, **changes)
         if row.input is Input.ENABLED and command.since_ns is not None and command.verb is not Verb.ARM:
             command = command._replace(taken_s=(t_ns - command.since_ns) * 1e-9)
@@ -316,9 +320,9 @@ class Machine:
             self._answer(command, refusal)
 
     def lower(self, t_ns: int) -> None:
-        """The motor's time is over: it lowers the load, since the brake would not hold it; from HOLD as by RELEASE."""
+        """The motor's time is over: it lowers the load, since the brake would not hold it."""
         if self.mode is Mode.HOLD:
-            self._go(Event.RELEASE)
+            self._go(Event.LOWER)
         else:
             self._accept(Accepted(None, Verb.LOWER, Event.LOWER), t_ns)
 

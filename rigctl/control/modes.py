@@ -182,6 +182,7 @@ TRANSITIONS: dict[tuple[Mode, Event], Transition] = {
     (Mode.DISARMED, Event.ENABLED): Transition(Mode.HOLD, preflight_passed),
     (Mode.HOLD, Event.TENSION): Transition(Mode.TENSIONING),
     (Mode.HOLD, Event.RELEASE): Transition(Mode.RELEASING, rope_tight),
+    (Mode.HOLD, Event.LOWER): Transition(Mode.RELEASING),
     (Mode.HOLD, Event.DISARM): Transition(Mode.DISARMED),
     (Mode.HOLD, Event.PAY_OUT): Transition(Mode.RELEASING, length_payable),
     (Mode.TENSIONING, Event.TENSIONED): Transition(Mode.COMPENSATING),

@@ -76,7 +76,7 @@ class Row:
 
     @property
     def blocks_reset(self) -> bool:
-        """While it stands, its fault cannot be reset."""
+        """While it is active, its fault cannot be reset."""
         return self.fault.blocks_reset and self.bars is not Bars.NEVER
 
     def trip(self, value: float, snapshot: Snapshot | None = None) -> Trip:
@@ -104,7 +104,7 @@ _OPERATIONAL = NmtState.OPERATIONAL.value
 _MS = 1_000_000
 LOG_AGAIN_NS = 1_000 * _MS  # least time between two events of a row whose condition comes and goes
 STROKE_END_NS = 200 * _MS
-RIVAL_NS = 500 * _MS  # a controller is heard far more often than this
+MASTER_NS = 500 * _MS  # a controller is heard far more often than this
 DRIVE_GRACE_NS = 20 * _MS  # the drive's answer to enable or disable may take this long
 INTERNAL_LIMIT_NS = 100 * _MS  # five lags of the drive: it may reach its current limit while it accelerates
 LINGER_NS = 1_000 * _MS  # a drive that goes off needs less for its ramp and brake
@@ -179,7 +179,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
     return (
         Row(Fault.E_STOP, FieldValue("e_stop"), 0, 0, _EVERY, "", Action.QUICK_STOP),
         Row(Fault.BUS_SILENT, FieldValue("bus_age_ns"), s.bus_silent_ms * _MS, 0, _ARMED, "ns"),
-        Row(Fault.RIVAL, lambda x: x.master_age_ns < RIVAL_NS, 0, 0, _ARMED, "", words=lambda x: x.master_words),
+        Row(Fault.RIVAL, lambda x: x.master_age_ns < MASTER_NS, 0, 0, _ARMED, "", words=lambda x: x.master_words),
         Row(Fault.SUPERVISION_LOST, FieldValue("readback.lost"), 0, 0, _ARMED, "", words=lambda x: x.readback.words),
         Row(Fault.SUPERVISION_LOST, FieldValue("readback.unsupervised"), 0, 0, _ARMED, "drive", Action.QUICK_STOP,
             words=lambda x: x.readback.words),
@@ -480,7 +480,7 @@ class Watch:
         self._quiet_until = [-LOG_AGAIN_NS] * len(self._rows)
         self._limits: list[tuple[Trip, bool]] = []  # not reported yet, as are the causes
         self._causes: list[tuple[Trip, bool]] = []
-        self._stands = [False] * len(self._rows)
+        self._active = [False] * len(self._rows)
         self.standing = 0  # bits of the faults of the rows that have been bad for their persistence, LOG rows excepted
 
     def look(self, snapshot: Snapshot, mode: Mode, t_ns: int) -> Trip | None:
@@ -513,8 +513,8 @@ class Watch:
                 self._log(i, row.trip(value, snapshot), begins=True)
             if row.action is Action.LOG:
                 continue
-            if not self._stands[i]:
-                self._stands[i] = True
+            if not self._active[i]:
+                self._active[i] = True
                 self.standing |= row.fault.bit
             if strongest is None or row.action > strongest.action:
                 strongest = row.trip(value, snapshot)
@@ -523,7 +523,7 @@ class Watch:
 
     def strongest(self, snapshot: Snapshot, bits: int) -> Trip | None:
         """Trip of the strongest row of these faults that has been bad for its persistence; None if none has."""
-        found = [row for row, stands in zip(self._rows, self._stands, strict=True) if stands and bits & row.fault.bit]
+        found = [row for row, active in zip(self._rows, self._active, strict=True) if active and bits & row.fault.bit]
         if not found:
             return None
         row = max(found, key=lambda one: one.action)
@@ -561,18 +561,18 @@ class Watch:
         return found
 
     def _blocking(self, snapshot: Snapshot) -> Iterator[Fault]:
-        for row, stands in zip(self._rows, self._stands, strict=True):
-            if row.blocks_reset and (stands or row.bars is Bars.AT_ONCE) and row.value(snapshot) > row.limit:
+        for row, active in zip(self._rows, self._active, strict=True):
+            if row.blocks_reset and (active or row.bars is Bars.AT_ONCE) and row.value(snapshot) > row.limit:
                 yield row.fault
 
     def _ends(self, i: int, *, seen: bool = True) -> None:
         """End a row that is good again or, not ``seen``, whose signal nobody looks at or that has no value."""
         self._since.pop(i, None)
-        if self._stands[i]:
-            self._stands[i] = False
+        if self._active[i]:
+            self._active[i] = False
             self.standing = 0
-            for row, stands in zip(self._rows, self._stands, strict=True):
-                if stands:
+            for row, active in zip(self._rows, self._active, strict=True):
+                if active:
                     self.standing |= row.fault.bit
         row, logs = self._rows[i], self._rows[i].action is Action.LOG
         if self._logged[i] and not seen and logs:

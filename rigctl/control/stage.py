@@ -95,7 +95,7 @@ STAGES: dict[tuple[DriveStage, Input], DriveStage] = {
     (_Q, Input.CUT_DUE): _C,
     **{(stage, Input.SILENCED): _N for stage in (_O, _S, _R, _Q, _C)},
 }
-"""An input without a row changes nothing. While a command waits, it may also change the stage that is kept."""
+"""An input without a row changes no stage. While a command waits, it may also change the stage that is kept."""
 
 
 _POWER_OF = {

@@ -15,7 +15,7 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
 from rigctl.control.events import Kind
-from rigctl.control.safety import Action
+from rigctl.control.safety import Action, Trip
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 from rigctl.model.faults import Fault
@@ -168,6 +168,24 @@ def test_a_load_is_not_given_to_a_brake_that_is_known_not_to_hold(held: Lockstep
     assert held.view.slack
     held.run(held.settings.hold.park_s + 2.0)
     assert (held.loop.machine.mode, held.view.braked) == (mode, True), "a slack rope is left to any brake"
+
+
+def test_a_cause_that_takes_the_power_off_leaves_a_load_kept_in_hold_to_the_motor(held: Lockstep) -> None:
+    """POSITION_DRIFTS does not concern moving the load: it is latched, and the motor goes on, as while it carries."""
+    slips(held, 0.5)
+    held.loop.brake.set("a test of the test")
+    held.run(held.settings.hold.park_s + 2.0)
+    before_mm = held.rig.truth.stroke_mm
+    creeps(0.3)(Stand(held, "brake test"))
+    held.run_until(Mode.FAULT, 20.0)
+    held.run(3.0)
+    assert held.loop.machine.fault is Fault.POSITION_DRIFTS
+    assert held.record["held_by"] == HeldBy.MOTOR
+    assert held.record["flags"] & Flag.CARRIES
+    assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM
+    held.loop.machine.trip(Trip(Fault.E_STOP, 1.0, 0.0, Action.QUICK_STOP), held.clock.now())
+    held.run(1.0)
+    assert not held.view.carries, "what concerns moving the load stops the motor"
 
 
 def test_a_fault_while_an_end_waits_for_the_load_does_not_give_it_to_that_brake(held: Lockstep) -> None:

@@ -288,7 +288,7 @@ def test_error_frames_are_seen_and_counted(rig: Lockstep) -> None:
 def test_a_loop_that_can_tell_nobody_of_an_exception_counts_it(rig: Lockstep) -> None:
     with failing(rig, LoopStep.DECIDE, LoopStep.NOTICE):
         rig.run(0.003)
-    assert rig.loop.exceptions_untold == 3
+    assert rig.loop.exceptions_unreported == 3
     assert rig.run(0.001)["fault"][-1] == Fault.LOOP_EXCEPTION
 
 

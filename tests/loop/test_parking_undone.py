@@ -89,6 +89,16 @@ def test_a_brake_that_slips_at_once_gives_the_load_back_with_a_fault(held: Locks
     assert held.command(Verb.RESET) is Refusal.CARRIED
 
 
+def test_a_hold_while_the_motor_takes_the_load_back_does_not_leave_it_on_the_brake(held: Lockstep) -> None:
+    put_in(held, brake_slips(1.5))
+    before_mm = held.rig.truth.stroke_mm
+    while not held.loop.machine.sequence.taking:
+        held.run(0.002)
+    assert held.command(Verb.HOLD) is Refusal.NONE
+    assert held.run(1.0)["held_by"][-1] == HeldBy.MOTOR
+    assert abs(held.rig.truth.stroke_mm - before_mm) < MOVED_MM
+
+
 def drive_whose(settings: RigSettings, told_ms: int, *, waits_ms: int, closes_ms: int | None) -> RigSettings:
     """A rig file whose ``cylinder.brake_delay_ms`` is not what drive and brake need."""
     true = {"simulation.drive.brake_ms": waits_ms, "simulation.drive.brake_close_ms": closes_ms}

@@ -485,6 +485,7 @@ def test_a_carry_whose_drive_does_not_come_on_has_the_brake_closed() -> None:
     machine.follow_drive(False, 21 + ARM_LIMIT_NS)
     assert machine.answers[-1].refusal is Refusal.DRIVE_TIMEOUT
     assert machine.power(22 + ARM_LIMIT_NS + CUT_AFTER_NS, drive_enabled=True, drive_faulted=False) is Power.CUT
+    assert not machine.sequence.armed, "a reset leads to DISARMED, as after any power off"
 
 
 FAULTED = Situation(armed=True, drive_faulted=True)
