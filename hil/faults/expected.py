@@ -10,7 +10,7 @@ from enum import StrEnum
 from hil.faults.stand import FaultPlace, Injector, Needs
 from hil.plant.inputs import Track
 from rigctl.config.settings_base import Settings
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 

@@ -13,7 +13,7 @@ from hil.nodes.node import GENERIC_ERROR, Node
 from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
 from rigctl.devices.objects import AiStatus, DriveState
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 Address = tuple[int, int]
 CELL = (objects.AI_PROCESS_VALUE, 1)

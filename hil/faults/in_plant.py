@@ -13,7 +13,7 @@ from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import leg
 from hil.scenario import disturbances, kinds
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 _of = partial(Injector, FaultPlace.PLANT)
 _ROPE, _PAYLOAD = (Part.ROPE,), (Part.PAYLOAD,)

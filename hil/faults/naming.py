@@ -16,8 +16,9 @@ from hil.faults.expected import InjectedFault
 from hil.faults.lockstep_run import Run
 from rigctl.config.settings import RigSettings
 from rigctl.diagnosis.diagnose import Culprit, diagnose
-from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE, Part
+from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, around, noted, trips
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 RIGHT_SHARE, TWO_SHARE = 0.9, 0.2

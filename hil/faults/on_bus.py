@@ -17,7 +17,7 @@ from hil.hub import Port
 from hil.wire import ERROR_FLAG, FRAME
 from rigctl.devices import objects
 from rigctl.devices.process_data import COMMAND, wanted
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 FULL_LOAD_FRAMES = 7
 """Frames of 8 bytes in a millisecond at 1 Mbit/s, 135 bits each."""

@@ -23,7 +23,7 @@ from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, FaultResult
 from hil.faults.live_rows_rig import CONTROL, GATEWAY, RECORDER, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 WATCHED_S = 1.5  # longer than the 1 s after which a process without progress is reported

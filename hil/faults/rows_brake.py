@@ -13,7 +13,7 @@ from hil.faults.rows_creep import HELD_MM
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
 from rigctl.control.situation import Witness
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 

@@ -7,7 +7,7 @@ from functools import partial
 from hil.faults import in_plant, on_bus
 from hil.faults.bus_devices import CYLINDER_DRIVE
 from hil.faults.expected import EITHER, HOLD, PASSING, RIDE, Around, InjectedFault
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 _stops_the_rig = partial(InjectedFault, expected=HOLD, within_ms=20)
 """Seen within a tick or two."""

@@ -13,7 +13,7 @@ from hil.faults.rows_creep import HELD_MM
 from hil.faults.stand import Injector
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState, EmcyCode
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 

@@ -6,7 +6,7 @@ from functools import partial
 
 from hil.faults import in_controller, in_plant
 from hil.faults.expected import ARMED, DRIVE_MS, DRIVE_STOPS, HOLD, LOST, PASSING, RIDE, Around, InjectedFault, Reaction
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 

@@ -8,7 +8,7 @@ from hil.faults import in_device, on_bus
 from hil.faults.expected import DRIVE_MS, Around, Expected, InjectedFault, Reaction
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads
 from hil.faults.stand import Injector
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 _MODES = (Mode.HOLD, Mode.COMPENSATING)

@@ -21,7 +21,7 @@ from hil.plant import Plant
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 

@@ -19,7 +19,7 @@ from hil.scenario.play import Advance, design
 from hil.ways_out.step_follower import End, StepFollower
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 SETTLES_S = 4.0

@@ -15,12 +15,12 @@ from rigctl.commission.preflight import PreflightVerdict
 from rigctl.control.safety import Action
 from rigctl.control.situation import Witness
 from rigctl.devices.startup import StartupError
-from rigctl.diagnosis.part import Part
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig

@@ -9,7 +9,7 @@ from rigctl.control.machine import Machine
 from rigctl.control.observer import Observer
 from rigctl.control.outbox import Outbox
 from rigctl.control.preload import Preload
-from rigctl.control.stroke_hold import REPORTED_MM, StrokeHold
+from rigctl.control.stroke_hold import SHOWN_MM, StrokeHold
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import NmtState
@@ -67,7 +67,7 @@ class DriveCommand:
 
     def _off_waits(self, t_ns: int, *, unsafe: bool) -> bool:
         """The power stays on a little longer: the stroke still moves, or too few commands of no speed were sent."""
-        held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= REPORTED_MM
+        held = abs(self._observer.snapshot.stroke_hold.excursion_mm) <= SHOWN_MM
         return (self.moves or unsafe) and t_ns < self._off_until and held
 
     def start_again(self, t_ns: int) -> None:

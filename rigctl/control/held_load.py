@@ -21,7 +21,7 @@ from rigctl.control.safety import Action, Trip, Watch
 from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import KEPT, KEPT_NS, TickSeen
-from rigctl.control.stroke_hold import CREEP_MM_S, REPORTED_MM, StrokeHold
+from rigctl.control.stroke_hold import CREEP_MM_S, SHOWN_MM, StrokeHold
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.control.trials import Trial
 from rigctl.model.faults import Fault
@@ -213,7 +213,9 @@ class HeldLoad:
         else:
             hold.watch(now_ns, snapshot, self._law.command_mm_s)
             if hold.left:
-                self._logbook.event(now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=REPORTED_MM)
+                self._logbook.event(
+                    now_ns, Kind.STROKE_LEFT, machine.mode, value=hold.seen.excursion_mm, limit=SHOWN_MM
+                )
         if moves or (trial is not None and machine.mode is Mode.DISARMED):  # a weight of a tare or a calibration
             self._tension.follow()
         else:

@@ -19,7 +19,7 @@ from rigctl.control.plausibility import STROKE_MEMORY_S
 from rigctl.control.safety import CONTRADICTION_MM, STROKE_ERROR_MM
 from rigctl.control.snapshot import Snapshot
 
-REPORTED_MM, OVER_MM = 0.2, 0.1  # an excursion is reported beyond the first and ends within the second
+SHOWN_MM, OVER_MM = 0.2, 0.1  # an excursion is reported beyond the first and ends within the second
 DEAD_ZONE_MM = 0.02  # no correction within it, so that encoder noise and the drive's dead band cause no motion
 AUTHORITY_MM_S = STROKE_ERROR_MM / STROKE_MEMORY_S
 """A drive that creeps faster than this trips DRIVE_NOT_FOLLOWING, so no correction needs more."""
@@ -33,7 +33,7 @@ REST_MM_S, SPARE_MM = 0.05, 0.05
 class StrokeHold:
     """The latch and its position loop. Call ``watch`` every tick, then ``correct``; ``follow`` while the stroke moves.
 
-    ``left``: this tick the stroke left the latch by `REPORTED_MM`; ``creeps``: the correction has now been needed for
+    ``left``: this tick the stroke left the latch by `SHOWN_MM`; ``creeps``: the correction has now been needed for
     `CREEP_S`. Both are true once per excursion.
     """
 
@@ -86,8 +86,8 @@ class StrokeHold:
             self.reference_mm = max(self._low_mm, min(self._high_mm, stroke_mm))
         self._error_mm = seen.excursion_mm = stroke_mm - self.reference_mm
         distance_mm = abs(seen.excursion_mm)
-        self.left = distance_mm > REPORTED_MM and not self._reported
-        self._reported = distance_mm > REPORTED_MM or (self._reported and distance_mm > OVER_MM)
+        self.left = distance_mm > SHOWN_MM and not self._reported
+        self._reported = distance_mm > SHOWN_MM or (self._reported and distance_mm > OVER_MM)
         self._doubted |= abs(snapshot.plausibility.contradiction_mm) > CONTRADICTION_MM
 
     def correct(self, snapshot: Snapshot, ticks: int, *, powered: bool) -> float:

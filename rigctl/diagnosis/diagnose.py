@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.control.events import Kind, fault_text
-from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.residuals import Residuals, residuals
 from rigctl.diagnosis.table import TABLE
 from rigctl.diagnosis.window import TripWindow
 from rigctl.model.faults import Fault, lasting
+from rigctl.model.parts import Part
 
 
 @dataclass(frozen=True)

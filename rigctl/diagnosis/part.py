@@ -1,33 +1,10 @@
-"""The parts of a rig that a diagnosis can name."""
+"""Which parts hang with the load, leave it loose, or are a device of the rig file."""
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 from rigctl.model.faults import EACH_SECOND, Fault, Trait
+from rigctl.model.parts import Part
 from rigctl.model.signals import WATCHED
-
-
-class Part(StrEnum):
-    """A part; the value is what the operator reads."""
-
-    CELL = "tension cell"
-    AMPLIFIER = "tension cell's amplifier"
-    SECOND_FORCE = "second force path"
-    INCLINOMETER = "inclinometer"
-    DRIVE = "drive"
-    ENCODER = "drive's encoder"
-    BRAKE = "brake"
-    ROPE = "rope or spring"
-    PAYLOAD = "payload"
-    IO_NODE = "I/O node"
-    RAIL_ENCODER = "rail encoder"
-    BUS = "bus or its power supply"
-    MASTER = "another master or tool"
-    COMPUTER = "this computer"
-    PROCESS = "a process of this program"
-    E_STOP = "emergency stop"
-
 
 AT_THE_LOAD = frozenset({Part.CELL, Part.AMPLIFIER, Part.SECOND_FORCE, Part.INCLINOMETER})
 """Parts that hang with the load: whoever is sent to one of them stands at the load."""

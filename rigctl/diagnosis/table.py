@@ -10,9 +10,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from rigctl.diagnosis.part import OF_DEVICE, Part
+from rigctl.diagnosis.part import AT_THE_LOAD, OF_DEVICE
 from rigctl.diagnosis.residuals import Residuals
 from rigctl.model.faults import Fault, Trait, having
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 Sign = Callable[[Residuals], bool]
@@ -61,13 +62,8 @@ _FREE = "Keep out from under the load; free the payload, from beside it, of what
 _STAY = "Keep out from under the load."
 _RESTART = "Start the daemon anew once the cause is found: it writes all settings again."
 _F = Fault
-_TENSION = frozenset({
-    _F.LIMIT, _F.INNOVATION, _F.TENSION_HIGH, _F.TENSION_LOW, _F.CELL_NEGATIVE, _F.CELL_STUCK, _F.CELL_NOISY,
-    _F.STRETCH_UNEXPLAINED, _F.LOAD_UNSEEN, _F.CELL_FROZEN, _F.ROPE_CHANGED, _F.SIGN_CELL, _F.LOAD_SINKS,
-    _F.STROKE_NOT_HELD, _F.FORCES_DISAGREE, _F.CELL_INVALID,
-})  # fmt: skip
-_UNSEEN = frozenset({_F.LOAD_UNSEEN, _F.CELL_FROZEN, _F.LIMIT, _F.STRETCH_UNEXPLAINED, _F.INNOVATION})
-_MOTION = frozenset({_F.DRIVE_NOT_FOLLOWING, _F.DRIVE_CONTRADICTS, _F.STROKE_JUMPED, _F.SIGN_DRIVE, _F.INNOVATION})
+_TENSION, _UNSEEN = having(Trait.SHOWN_BY_TENSION), having(Trait.SHOWN_BY_WAY)
+_MOTION, _ABOUT_A_DEVICE = having(Trait.SHOWN_BY_MOTION), having(Trait.SHOWN_BY_DEVICE)
 
 
 def _always(_: Residuals) -> bool:
@@ -106,12 +102,6 @@ def of_device(x: Residuals) -> str:
         if len(names) == 1:
             return next(iter(names))
     return ""
-
-
-_ABOUT_A_DEVICE = frozenset({
-    _F.CELL_STALE, _F.INCLINATION_STALE, _F.DRIVE_STALE, _F.STATUS_STALE, _F.E_STOP_UNSEEN, _F.DEVICE_RESTARTED,
-    _F.NODE_NOT_OPERATIONAL, _F.SENSOR_EMERGENCY, _F.DRIVE_EMERGENCY, _F.SUPERVISION_LOST, _F.LIMIT_UNSEEN,
-})  # fmt: skip
 
 
 def _device(name: str) -> Sign:
@@ -428,8 +418,10 @@ TABLE: tuple[Clue, ...] = (
         frozenset({_F.TENSION_LOW}), Part.CELL, "does the rope hang loose?"),
     Clue(Part.BRAKE, "The tension falls on the closed brake.", _KEEP_OUT, _always, frozenset({_F.LOAD_SINKS}),
         Part.PAYLOAD, "has the payload or the rail been moved?"),
+    *(Clue(fault.part, "{fault_words}.", f"{_STAY} {fault.remedy}" if fault.part in AT_THE_LOAD else fault.remedy,
+           _always, frozenset({fault})) for fault in Fault if fault.part is not None),
 )  # fmt: skip
-"""In this order; the first row that matches is the one."""
+"""In this order; the first row that matches is the one. The last are of faults that name their part themselves."""
 
 
 def suspects(fault: Fault) -> tuple[Part, ...]:

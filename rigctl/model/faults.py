@@ -1,4 +1,4 @@
-"""The catalogue of faults: number, name, cause in words, remedy, and what the fault bars.
+"""The catalogue of faults: number, name, cause in words, remedy, part to look at, and what the fault bars.
 
 The rows of `rigctl.control.safety.table` give the value watched for each, with limit and persistence.
 """
@@ -8,6 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from enum import IntEnum, IntFlag
+from typing import Any, NamedTuple
+
+from rigctl.model.parts import Part
 
 
 class Trait(IntFlag):
@@ -44,17 +47,38 @@ class Trait(IntFlag):
     """A device's own emergency message; the value has its node."""
     OF_RIG_FILE = 1 << 15
     """One cause for each row of the rig file's limits."""
+    SHOWN_BY_DEVICE = 1 << 16
+    """A diagnosis looks which device restarted, left its state or fell silent."""
+    SHOWN_BY_TENSION = 1 << 17
+    """A diagnosis looks at how the tension has changed."""
+    SHOWN_BY_WAY = 1 << 18
+    """A diagnosis looks at the way of the stroke that the tension does not show."""
+    SHOWN_BY_MOTION = 1 << 19
+    """A diagnosis looks at position, speed and command of the drive."""
 
 
 _NO_TRAIT = Trait(0)
 _HIDES_ALL = Trait.HIDES_TENSION | Trait.HIDES_DRIVE | Trait.HIDES_INCLINATION
 
 
-class Fault(IntEnum):
-    """What can trip the rig; the number is latched in every record until an operator resets it.
+class FaultRow(NamedTuple):
+    """A fault of the catalogue, and all that is said of it.
 
     ``words``: the cause in one line, a template of ``value``, ``limit`` and the names that
-    `rigctl.control.events.fault_text` fills in. ``remedy``: what the operator does about it.
+    `rigctl.control.events.fault_text` fills in. ``meaning``: the condition, for docs/operate.md. ``remedy``: what the
+    operator does about it. ``part``: where the operator looks first, as long as no sign of the diagnosis names a part.
+    """
+
+    number: int
+    words: str
+    meaning: str
+    remedy: str
+    part: Part | None = None
+    traits: Trait = _NO_TRAIT
+
+
+class Fault(IntEnum):
+    """What can trip the rig; the number is latched in every record until an operator resets it.
 
     A new fault is the last row: ``bit`` goes by the place of its row, and recordings, rings and subscribers hold it.
     """
@@ -62,365 +86,465 @@ class Fault(IntEnum):
     bit: int
     """The bit of its cause in sets of causes, such as ``cause_bits`` of the record; NONE has no bit, 0."""
     words: str
+    meaning: str
     remedy: str
+    part: Part | None
     traits: Trait
 
-    def __new__(cls, number: int, words: str = "", remedy: str = "", traits: Trait = _NO_TRAIT) -> Fault:
-        """A member with its words."""
-        member = int.__new__(cls, number)
-        member._value_ = number
+    def __new__(cls, *of_row: Any) -> Fault:
+        """A member by the fields of its `FaultRow`."""
+        row = FaultRow(*of_row)
+        member = int.__new__(cls, row.number)
+        member._value_ = row.number
         member.bit = 1 << len(cls.__members__) >> 1
-        member.words, member.remedy, member.traits = words, remedy, traits
+        for name in ("words", "meaning", "remedy", "part", "traits"):
+            setattr(member, name, getattr(row, name))
         return member
 
-    NONE = (
-        0,
-        "no fault",
-    )
-    TENSION_HIGH = (
+    NONE = FaultRow(0, "no fault", "there is none", "")
+    TENSION_HIGH = FaultRow(
         1,
-        "tension {value:.1f} N above {limit:.1f} N",
-        "Take the pull off the rope in the hall: support the payload until the cell reads less; find what pulled.",
-        Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
+        words="tension {value:.1f} N above {limit:.1f} N",
+        meaning="the tension, corrected or as the cell reads it, is above `safety.tension_high_n`",
+        remedy=(
+            "Take the pull off the rope in the hall: support the payload until the cell reads less; find what pulled."
+        ),
+        traits=Trait.BLOCKS_RESET | Trait.STOPS_CARRYING | Trait.SHOWN_BY_TENSION,
     )
-    TENSION_LOW = (
+    TENSION_LOW = FaultRow(
         2,
-        "tension lost ({value:.1f} N, limit {limit:.1f} N)",
-        "Look at rope, clamp and payload before tensioning again.",
+        words="tension lost ({value:.1f} N, limit {limit:.1f} N)",
+        meaning="the tension was lost: in COMPENSATING, TENSIONING, or a held load in HOLD or FAULT",
+        remedy="Look at rope, clamp and payload before tensioning again.",
+        traits=Trait.SHOWN_BY_TENSION,
     )
-    CELL_STALE = (
+    CELL_STALE = FaultRow(
         3,
-        "no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the cell amplifier's power and cable.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.HIDES_TENSION,
+        words="no tension sample for {value:.0f} ms (limit {limit:.0f} ms)",
+        meaning="no tension sample within `safety.stale_ms`; after a power loss the daemon is started anew",
+        remedy="Check the cell amplifier's power and cable.",
+        part=Part.AMPLIFIER,
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.HIDES_TENSION | Trait.SHOWN_BY_DEVICE,
     )
-    CELL_INVALID = (
+    CELL_INVALID = FaultRow(
         4,
-        "tension cell reports overload or no valid value (status {value:.0f})",
-        "Unload the cell and check its cable.",
-        Trait.BLOCKS_RESET | Trait.HIDES_TENSION,
+        words="tension cell reports overload or no valid value (status {value:.0f})",
+        meaning="the amplifier reports overload or no valid value, or the reading is beyond the range",
+        remedy="Unload the cell and check its cable.",
+        traits=Trait.BLOCKS_RESET | Trait.HIDES_TENSION | Trait.SHOWN_BY_TENSION,
     )
-    INCLINATION_STALE = (
+    INCLINATION_STALE = FaultRow(
         5,
-        "no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the inclinometer's power and cable.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.HIDES_INCLINATION,
+        words="no inclination sample for {value:.0f} ms (limit {limit:.0f} ms)",
+        meaning="no inclination sample within `safety.inclination_stale_ms`",
+        remedy="Check the inclinometer's power and cable.",
+        part=Part.INCLINOMETER,
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.HIDES_INCLINATION | Trait.SHOWN_BY_DEVICE,
     )
-    INCLINATION_INVALID = (
+    INCLINATION_INVALID = FaultRow(
         6,
-        "inclinometer reports no valid value",
-        "Check the inclinometer's mounting and range.",
-        Trait.BLOCKS_RESET | Trait.HIDES_INCLINATION,
+        words="inclinometer reports no valid value",
+        meaning="the inclinometer reports no valid value, or one beyond its range",
+        remedy="Check the inclinometer's mounting and range.",
+        traits=Trait.BLOCKS_RESET | Trait.HIDES_INCLINATION,
     )
-    DRIVE_STALE = (
+    DRIVE_STALE = FaultRow(
         7,
-        "no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the drive's power and cable.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | Trait.HIDES_DRIVE,
+        words="no drive status for {value:.0f} ms (limit {limit:.0f} ms)",
+        meaning="no statusword and position within `safety.stale_ms`; after a power loss the daemon is started anew",
+        remedy="Check the drive's power and cable.",
+        part=Part.DRIVE,
+        traits=Trait.BLOCKS_RESET
+        | Trait.AGE
+        | Trait.DEVICE_SILENT
+        | Trait.STOPS_CARRYING
+        | Trait.HIDES_DRIVE
+        | Trait.SHOWN_BY_DEVICE,
     )
-    DRIVE_FAULT = (
+    DRIVE_FAULT = FaultRow(
         8,
-        "drive reports a fault of its own",
-        "Read the drive's emergency code in the events; a reset clears it once its cause is gone.",
+        words="drive reports a fault of its own",
+        meaning="the drive is in its own fault state",
+        remedy="Read the drive's emergency code in the events; a reset clears it once its cause is gone.",
     )
-    BUS_SILENT = (
+    BUS_SILENT = FaultRow(
         9,
-        "no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check CAN interface, termination, device power.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
+        words="no frame on the bus for {value:.0f} ms (limit {limit:.0f} ms)",
+        meaning="no frame on the bus for `safety.bus_silent_ms`",
+        remedy="Check CAN interface, termination, device power.",
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
     )
-    OVERRUN = (
+    OVERRUN = FaultRow(
         10,
-        "{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
-        "Run rigctl doctor: real-time rights, other load on the loop's processor.",
-        Trait.BLOCKS_RESET,
+        words="{value:.0f} ticks skipped, loop cannot keep its rate (limit {limit:.0f} ticks)",
+        meaning="the loop skipped more ticks than `safety.overrun_ticks` allows",
+        remedy="Run rigctl doctor: real-time rights, other load on the loop's processor.",
+        traits=Trait.BLOCKS_RESET,
     )
-    LOOP_EXCEPTION = (
+    LOOP_EXCEPTION = FaultRow(
         11,
-        "exception in the loop",
-        "Keep the trip dump and report the exception; reset goes on.",
+        words="exception in the loop",
+        meaning="an exception in a tick; the event names the place",
+        remedy="Keep the trip dump and report the exception; reset goes on.",
     )
-    STROKE_END = (
+    STROKE_END = FaultRow(
         12,
-        "stroke limit reached before the tension was",
-        "Look why the stroke came to its end: the rope is too long, or the payload hangs on nothing.",
-        Trait.STOPS_CARRYING,
+        words="stroke limit reached before the tension was",
+        meaning="the stroke ended before the tension was reached",
+        remedy="Look why the stroke came to its end: the rope is too long, or the payload hangs on nothing.",
+        traits=Trait.STOPS_CARRYING,
     )
-    DRIVE_NOT_FOLLOWING = (
+    DRIVE_NOT_FOLLOWING = FaultRow(
         13,
-        "drive does not do as commanded: {missed}",
-        "Look at the drive's display, its enabling inputs and its tuning.",
-        Trait.STOPS_CARRYING,
+        words="drive does not do as commanded: {missed}",
+        meaning=(
+            "the drive is not enabled though it should be, or stroke and speed are not as commanded; it is taken "
+            "off power"
+        ),
+        remedy="Look at the drive's display, its enabling inputs and its tuning.",
+        traits=Trait.STOPS_CARRYING | Trait.SHOWN_BY_MOTION,
     )
-    DEVICE_RESTARTED = (
+    DEVICE_RESTARTED = FaultRow(
         14,
-        "a device restarted and lost its settings; start the daemon anew",
-        "Start the daemon anew: it writes the device's settings again.",
-        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+        words="a device restarted and lost its settings; start the daemon anew",
+        meaning="a device booted and has lost its settings",
+        remedy="Start the daemon anew: it writes the device's settings again.",
+        traits=Trait.BLOCKS_RESET | Trait.DEVICE_SILENT | Trait.SHOWN_BY_DEVICE,
     )
-    # Tension or drive speed keeps contradicting the filter's prediction
-    INNOVATION = (
+    INNOVATION = FaultRow(
         15,
-        "tension or cylinder speed contradicts what the filter expects",
-        "Look at cell, encoder and rope.",
-        Trait.CELL_DOUBTED,
+        words="tension or cylinder speed contradicts what the filter expects",
+        meaning=(
+            "tension, drive speed or inclination went on contradicting what the filter expects, or the tension "
+            "stepped from one sample to the next as no payload does"
+        ),
+        remedy="Look at cell, encoder and rope.",
+        traits=Trait.CELL_DOUBTED | Trait.SHOWN_BY_TENSION | Trait.SHOWN_BY_WAY | Trait.SHOWN_BY_MOTION,
     )
-    # A positive command does not move the stroke up
-    SIGN_DRIVE = (
+    SIGN_DRIVE = FaultRow(
         16,
-        "the stroke does not go where the drive is commanded: check the drive's sign and scale",
-        "Correct the drive's sign or scale in the rig file.",
+        words="the stroke does not go where the drive is commanded: check the drive's sign and scale",
+        meaning="a positive command does not move the stroke up",
+        remedy="Correct the drive's sign or scale in the rig file.",
+        traits=Trait.SHOWN_BY_MOTION,
     )
-    # A shorter rope does not pull harder, or by far more or less than the plant's stiffness
-    SIGN_CELL = (
+    SIGN_CELL = FaultRow(
         17,
-        "the tension does not follow the stroke as the plant would{found}: check signs and scales of cell and drive",
-        "Correct the cell's sign, the drive's units or the plant's stiffness (mechanism_n_mm too) in the rig file.",
-        Trait.CELL_DOUBTED | Trait.HIDES_TENSION | Trait.HIDES_UNTIL_RESET,
+        words=(
+            "the tension does not follow the stroke as the plant would{found}: check signs and scales of cell and drive"
+        ),
+        meaning="a shorter rope does not pull harder, or far from what the plant says",
+        remedy=(
+            "Correct the cell's sign, the drive's units or the plant's stiffness (mechanism_n_mm too) in the rig file."
+        ),
+        traits=Trait.CELL_DOUBTED | Trait.HIDES_TENSION | Trait.HIDES_UNTIL_RESET | Trait.SHOWN_BY_TENSION,
     )
-    # A row of the rig file's limits; the trip's event names it
-    LIMIT = (
+    LIMIT = FaultRow(
         18,
-        "{text} {limit:.10g}{unit} ({value:.4g}{unit})",
-        "Look at the signal named; its limit is in the rig file.",
-        Trait.OF_RIG_FILE,
+        words="{text} {limit:.10g}{unit} ({value:.4g}{unit})",
+        meaning="a limit of the rig file is passed; the event names the signal",
+        remedy="Look at the signal named; its limit is in the rig file.",
+        traits=Trait.OF_RIG_FILE | Trait.SHOWN_BY_TENSION | Trait.SHOWN_BY_WAY,
     )
-    # The cell keeps sending the very same value
-    CELL_STUCK = (
+    CELL_STUCK = FaultRow(
         19,
-        "tension cell has sent the very same value {value:.0f} times more (limit {limit:.0f} times)",
-        "Check the cell amplifier: it repeats its last value.",
-        Trait.BLOCKS_RESET | Trait.CELL_DOUBTED | Trait.CELL_IMPLAUSIBLE | Trait.HIDES_TENSION,
+        words="tension cell has sent the very same value {value:.0f} times more (limit {limit:.0f} times)",
+        meaning="the cell sends the very same value for `safety.stuck_samples`",
+        remedy="Check the cell amplifier: it repeats its last value.",
+        traits=Trait.BLOCKS_RESET
+        | Trait.CELL_DOUBTED
+        | Trait.CELL_IMPLAUSIBLE
+        | Trait.HIDES_TENSION
+        | Trait.SHOWN_BY_TENSION,
     )
-    # The drive's reported speed is not the rate of its position
-    DRIVE_CONTRADICTS = (
+    DRIVE_CONTRADICTS = FaultRow(
         20,
-        "drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f} mm)",
-        "Check the drive's encoder and its scale.",
-        Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE,
+        words="drive's position and speed contradict each other by {value:.2f} mm (limit {limit:.2f} mm)",
+        meaning="the drive's speed is not what its position does",
+        remedy="Check the drive's encoder and its scale.",
+        traits=Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE | Trait.SHOWN_BY_MOTION,
     )
-    # The stroke moves though the drive is off: the brake does not hold
-    STROKE_MOVES = (
+    STROKE_MOVES = FaultRow(
         21,
-        (
-            "the stroke moves though the drive is off ({value:.2f} mm/s){text}: the brake does not hold; rigctl carry: "
-            "the motor holds the load, rigctl lower: it lowers it"
+        words=(
+            "the stroke moves though the drive is off ({value:.2f} mm/s){text}: the brake does not hold; rigctl "
+            "carry: the motor holds the load, rigctl lower: it lowers it"
         ),
-        "Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
-        Trait.BLOCKS_RESET | Trait.BRAKE_FAILS | Trait.MOTOR_MAY_CARRY | Trait.LOAD_SINKS,
+        meaning="the stroke moves though the drive is off: the brake does not hold; no reset while the load sinks",
+        remedy="Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
+        traits=Trait.BLOCKS_RESET | Trait.BRAKE_FAILS | Trait.MOTOR_MAY_CARRY | Trait.LOAD_SINKS,
     )
-    # Tension changed without a stroke that explains it, or did not change with the stroke
-    STRETCH_UNEXPLAINED = (
+    STRETCH_UNEXPLAINED = FaultRow(
         22,
-        (
-            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, cell, "
-            "encoder or payload"
+        words=(
+            "tension and stroke contradict each other by {value:.1f} mm of stretch (limit {limit:.1f} mm): rope, "
+            "cell, encoder or payload"
         ),
-        "Look at rope, cell, encoder and payload before a reset.",
-        Trait.CELL_DOUBTED,
+        meaning=(
+            "tension and stroke contradict each other: in motion by more stretch than a payload explains; while "
+            "the motor holds, by more than `rigctl check` prints, and the drive is taken off power"
+        ),
+        remedy="Look at rope, cell, encoder and payload before a reset.",
+        traits=Trait.CELL_DOUBTED | Trait.SHOWN_BY_TENSION | Trait.SHOWN_BY_WAY,
     )
-    # The emergency stop is pressed
-    E_STOP = (
+    E_STOP = FaultRow(
         23,
-        "emergency stop pressed ({seen})",
-        "Release the emergency stop, then reset.",
-        Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
+        words="emergency stop pressed ({seen})",
+        meaning="the emergency stop is pressed; the event says at which input",
+        remedy="Release the emergency stop, then reset.",
+        traits=Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
     )
-    # The reading changes far more than by the cell's noise or any motion of the payload
-    CELL_NOISY = (
+    CELL_NOISY = FaultRow(
         24,
-        "tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
-        "Check the cell's cable, shield and amplifier.",
-        Trait.BLOCKS_RESET | Trait.CELL_DOUBTED | Trait.CELL_IMPLAUSIBLE | Trait.HIDES_TENSION,
+        words="tension cell jumps by {value:.1f} N from sample to sample (limit {limit:.1f} N)",
+        meaning="the cell jumps from sample to sample as no payload can",
+        remedy="Check the cell's cable, shield and amplifier.",
+        traits=Trait.BLOCKS_RESET
+        | Trait.CELL_DOUBTED
+        | Trait.CELL_IMPLAUSIBLE
+        | Trait.HIDES_TENSION
+        | Trait.SHOWN_BY_TENSION,
     )
-    # The reading is negative, but a rope cannot push
-    CELL_NEGATIVE = (
+    CELL_NEGATIVE = FaultRow(
         25,
-        "tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
-        "Check the cell's mounting, and its amplifier's zero with the rope unloaded.",
-        Trait.BLOCKS_RESET | Trait.CELL_DOUBTED | Trait.CELL_IMPLAUSIBLE | Trait.HIDES_TENSION,
+        words="tension cell reads {value:.1f} N: a rope cannot push (limit {limit:.1f} N)",
+        meaning="the cell reads a push; a rope cannot push",
+        remedy="Check the cell's mounting, and its amplifier's zero with the rope unloaded.",
+        traits=Trait.BLOCKS_RESET
+        | Trait.CELL_DOUBTED
+        | Trait.CELL_IMPLAUSIBLE
+        | Trait.HIDES_TENSION
+        | Trait.SHOWN_BY_TENSION,
     )
-    # Cell, inclinometer or I/O node has sent an emergency message and not withdrawn it
-    SENSOR_EMERGENCY = (
+    SENSOR_EMERGENCY = FaultRow(
         26,
-        "a device's emergency message is active ({emergency})",
-        "Read the emergency code in the events, and the device's manual.",
-        Trait.BLOCKS_RESET | Trait.CELL_DOUBTED | Trait.EMERGENCY,
+        words="a device's emergency message is active ({emergency})",
+        meaning="cell, inclinometer or I/O node has sent an emergency message that is active",
+        remedy="Read the emergency code in the events, and the device's manual.",
+        traits=Trait.BLOCKS_RESET | Trait.CELL_DOUBTED | Trait.EMERGENCY | Trait.SHOWN_BY_DEVICE,
     )
-    # The drive has sent an emergency message and not withdrawn it
-    DRIVE_EMERGENCY = (
+    DRIVE_EMERGENCY = FaultRow(
         27,
-        "the drive's emergency message is active ({emergency})",
-        "Read the emergency code in the events, and the drive's manual.",
-        Trait.EMERGENCY,
+        words="the drive's emergency message is active ({emergency})",
+        meaning="the drive has sent an emergency message that is active",
+        remedy="Read the emergency code in the events, and the drive's manual.",
+        part=Part.DRIVE,
+        traits=Trait.EMERGENCY | Trait.SHOWN_BY_DEVICE,
     )
-    # Another controller commands this bus
-    RIVAL = (
+    RIVAL = FaultRow(
         28,
-        "another controller {text}: find it and stop it",
-        "Find the other controller on this bus and stop it.",
-        Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
+        words="another controller {text}: find it and stop it",
+        meaning="another controller or master speaks on this bus",
+        remedy="Find the other controller on this bus and stop it.",
+        traits=Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
     )
-    # The I/O node that mirrors the emergency stop is silent
-    E_STOP_UNSEEN = (
+    E_STOP_UNSEEN = FaultRow(
         29,
-        "the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the I/O node's power and cable.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+        words="the I/O node that mirrors the emergency stop has sent nothing for {value:.0f} ms (limit {limit:.0f} ms)",
+        meaning="the I/O node that mirrors the emergency stop is silent",
+        remedy="Check the I/O node's power and cable.",
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.SHOWN_BY_DEVICE,
     )
-    # The stroke has left where HOLD, FAULT or DISARMED latched it
-    STROKE_NOT_HELD = (
+    STROKE_NOT_HELD = FaultRow(
         30,
-        (
-            "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): the drive creeps or "
-            "the brake slips"
+        words=(
+            "the stroke has moved {value:.2f} mm from where it was latched (limit {limit:.2f} mm): the drive "
+            "creeps or the brake slips"
         ),
-        "Look at the drive's velocity offset (0x60B1) and tuning, and at the brake.",
-        Trait.MOTOR_MAY_CARRY,
+        meaning="the stroke has left where it was latched; the drive is taken off power",
+        remedy="Look at the drive's velocity offset (0x60B1) and tuning, and at the brake.",
+        traits=Trait.MOTOR_MAY_CARRY | Trait.SHOWN_BY_TENSION,
     )
-    # The correction of a held stroke has added up to what could move the load
-    POSITION_DRIFTS = (
+    POSITION_DRIFTS = FaultRow(
         31,
-        (
-            "holding the stroke has taken {value:.2f} mm of correction (limit {limit:.2f} mm): the drive's position "
-            "drifts, or the drive creeps"
+        words=(
+            "holding the stroke has taken {value:.2f} mm of correction (limit {limit:.2f} mm): the drive's "
+            "position drifts, or the drive creeps"
         ),
-        "Check the drive's encoder, and its velocity offset (0x60B1).",
-        Trait.STROKE_DOUBTED,
+        meaning=(
+            "the correction of a held stroke has added up to 0.8 mm: the position drifts or the drive creeps; the"
+            " drive is taken off power"
+        ),
+        remedy="Check the drive's encoder, and its velocity offset (0x60B1).",
+        traits=Trait.STROKE_DOUBTED,
     )
-    # The drive no longer sends current, temperature and inputs
-    STATUS_STALE = (
+    STATUS_STALE = FaultRow(
         33,
-        (
-            "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): neither its "
-            "emergency stop's input nor its temperature is seen"
+        words=(
+            "no current, temperature and inputs of the drive for {value:.0f} ms (limit {limit:.0f} ms): neither "
+            "its emergency stop's input nor its temperature is seen"
         ),
-        "Check the drive's second TPDO (cylinder.status_rate_hz).",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT,
+        meaning="motor current, temperature and inputs of the drive do not come",
+        remedy="Check the drive's second TPDO (cylinder.status_rate_hz).",
+        part=Part.DRIVE,
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.SHOWN_BY_DEVICE,
     )
-    # The signal that a limit of the rig file watches is missing
-    LIMIT_UNSEEN = (
+    LIMIT_UNSEEN = FaultRow(
         34,
-        "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms (limit {limit:.0f} ms)",
-        "Check the device that sends the signal named.",
-        Trait.AGE | Trait.OF_RIG_FILE,
+        words=(
+            "{text} is limited by the rig file and does not come: no sample for {value:.0f} ms (limit {limit:.0f} ms)"
+        ),
+        meaning="the signal that a limit of the rig file watches does not come",
+        remedy="Check the device that sends the signal named.",
+        traits=Trait.AGE | Trait.OF_RIG_FILE | Trait.SHOWN_BY_DEVICE,
     )
-    # The drive is enabled, or moves under power, without our command
-    DRIVE_UNASKED = (
+    DRIVE_UNASKED = FaultRow(
         35,
-        "{text}{not_requested}",
-        "Find who commands the drive, withdraw the tool, then reset.",
-        Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
+        words="{text}{not_requested}",
+        meaning=(
+            "the drive is enabled, or moves under power, and the daemon has not commanded it; or its motor "
+            "carries more than 5 % of `cylinder.rated_current_a` for 0.5 s while it reports off; it is taken off "
+            "power"
+        ),
+        remedy="Find who commands the drive, withdraw the tool, then reset.",
+        traits=Trait.BLOCKS_RESET | Trait.STOPS_CARRYING,
     )
-    # The drive reports that it does not do as commanded: statusword bits 9, 11, 12
-    DRIVE_REFUSES = (
+    DRIVE_REFUSES = FaultRow(
         36,
-        "drive reports that {text}",
-        "Withdraw the drive's panel or service tool; look at its display.",
-        Trait.BLOCKS_RESET,
+        words="drive reports that {text}",
+        meaning="statusword bit 9, 11 or 12: not remote, a limit of its own is active, or it does not follow",
+        remedy="Withdraw the drive's panel or service tool; look at its display.",
+        traits=Trait.BLOCKS_RESET,
     )
-    # A device's heartbeat has stopped, or reports another state than OPERATIONAL
-    NODE_NOT_OPERATIONAL = (
+    NODE_NOT_OPERATIONAL = FaultRow(
         37,
-        "{text} {state}",
-        "Check the device's power and cable; start the daemon anew.",
-        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+        words="{text} {state}",
+        meaning="a device's heartbeat has stopped, or says that it has left OPERATIONAL",
+        remedy="Check the device's power and cable; start the daemon anew.",
+        traits=Trait.BLOCKS_RESET | Trait.DEVICE_SILENT | Trait.SHOWN_BY_DEVICE,
     )
-    # An object that safety needs is not what start-up wrote, or its device gives no answer
-    SUPERVISION_LOST = (
+    SUPERVISION_LOST = FaultRow(
         38,
-        "a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again",
-        "Start the daemon anew: it writes all settings.",
-        Trait.BLOCKS_RESET | Trait.DEVICE_SILENT,
+        words="a device does not keep what start-up wrote, {text}: start the daemon anew, it writes all of it again",
+        meaning="an object that start-up verified reads differently, or is not answered for",
+        remedy="Start the daemon anew: it writes all settings.",
+        traits=Trait.BLOCKS_RESET | Trait.DEVICE_SILENT | Trait.SHOWN_BY_DEVICE,
     )
-    # The drive's position changed between two samples by more than a stroke can move
-    STROKE_JUMPED = (
+    STROKE_JUMPED = FaultRow(
         39,
-        (
-            "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; measure the "
-            "stroke at the cylinder, then rigctl confirm-stroke MM"
+        words=(
+            "the drive's position jumped by {value:.2f} mm (limit {limit:.1f} mm): it is not believed; measure "
+            "the stroke at the cylinder, then rigctl confirm-stroke MM"
         ),
-        "Measure the stroke at the cylinder, then rigctl confirm-stroke MM.",
-        Trait.BLOCKS_RESET | Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE,
+        meaning="the drive's position jumped from one sample to the next",
+        remedy="Measure the stroke at the cylinder, then rigctl confirm-stroke MM.",
+        traits=Trait.BLOCKS_RESET | Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE | Trait.SHOWN_BY_MOTION,
     )
-    # The brake let the stroke move in the brake test, or in the first second after a parking
-    BRAKE_SLIPS = (
+    BRAKE_SLIPS = FaultRow(
         41,
-        (
-            "the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm){text}; rigctl carry: the "
-            "motor holds the load, rigctl lower: it lowers it; have the brake repaired"
+        words=(
+            "the stroke moved by {value:.2f} mm on the closed brake (limit {limit:.2f} mm){text}; rigctl carry: "
+            "the motor holds the load, rigctl lower: it lowers it; have the brake repaired"
         ),
-        "Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
-        Trait.BRAKE_FAILS | Trait.MOTOR_MAY_CARRY | Trait.LOAD_SINKS,
+        meaning=(
+            "the load moved on the closed brake: in the brake test, the drive stays off; right after a parking, "
+            "held by the motor for 10 min, which then lowers it"
+        ),
+        remedy="Secure the load: rigctl carry has the motor hold it, rigctl lower lowers it; have the brake repaired.",
+        traits=Trait.BRAKE_FAILS | Trait.MOTOR_MAY_CARRY | Trait.LOAD_SINKS,
     )
-    # The second force path and the cell differ by more than both may be wrong
-    FORCES_DISAGREE = (
+    FORCES_DISAGREE = FaultRow(
         46,
-        "the two force paths disagree by {value:.2f} N (limit {limit:.2f} N): cell, second cell, spring or encoder",
-        (
-            "Support the payload until the rope is slack; rigctl disarm, then rigctl reset; find the wrong force path "
-            "with a known weight, and correct it at its amplifier."
+        words=(
+            "the two force paths disagree by {value:.2f} N (limit {limit:.2f} N): cell, second cell, spring or encoder"
         ),
-    )  # no bar of a reset: tare and calibration, its remedies, are commands of DISARMED
-
-    # On the closed brake the tension falls
-    LOAD_SINKS = (
+        meaning=(
+            "cell and second force path differ by more than both may be wrong (`second_force.disagree_n`); a "
+            "reset without a disarm leads to HOLD, where it trips again"
+        ),
+        remedy=(
+            "Support the payload until the rope is slack; rigctl disarm, then rigctl reset; find the wrong force "
+            "path with a known weight, and correct it at its amplifier."
+        ),
+        traits=Trait.SHOWN_BY_TENSION,
+    )
+    LOAD_SINKS = FaultRow(
         51,
-        (
-            "the tension {text}, by {value:.1f} N on the closed brake (limit {limit:.1f} N): the brake slips, or the "
-            "payload or the rail was moved"
+        words=(
+            "the tension {text}, by {value:.1f} N on the closed brake (limit {limit:.1f} N): the brake slips, or "
+            "the payload or the rail was moved"
         ),
-        "Secure the load: rigctl lower has the motor lower it; no reset while it sinks; have the brake repaired.",
-        Trait.BLOCKS_RESET | Trait.LOAD_SINKS,
+        meaning=(
+            "on the closed brake the tension falls, or has fallen for 10 s: the brake slips, or payload or rail "
+            "was moved; DISARMED too"
+        ),
+        remedy=(
+            "Secure the load: rigctl lower has the motor lower it; no reset while it sinks; have the brake repaired."
+        ),
+        traits=Trait.BLOCKS_RESET | Trait.LOAD_SINKS | Trait.SHOWN_BY_TENSION,
     )
-    # What SYNC latches has stopped at every device, though the bus is alive
-    SYNC_LOST = (
+    SYNC_LOST = FaultRow(
         55,
-        "no device has answered SYNC for {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
-        "Find what keeps SYNC from the devices (cable, gateway, 0x1005); the drive keeps its last speed without it.",
-        Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
+        words="no device has answered SYNC for {value:.0f} ms (limit {limit:.0f} ms), though the bus is alive",
+        meaning=(
+            "no device answers SYNC though the bus is alive; a drive keeps its last speed without it, and is silenced"
+        ),
+        remedy=(
+            "Find what keeps SYNC from the devices (cable, gateway, 0x1005); the drive keeps its last speed without it."
+        ),
+        traits=Trait.BLOCKS_RESET | Trait.AGE | Trait.DEVICE_SILENT | Trait.STOPS_CARRYING | _HIDES_ALL,
     )
-    # The feedback at io.drive_off_input is not as io.drive_enable_output should have it
-    ENABLE_IGNORED = (
+    ENABLE_IGNORED = FaultRow(
         60,
-        "the drive's STO feedback (io.drive_off_input) does not follow its hard-wired enable (io.drive_enable_output)",
-        "Check wire, relay and feedback of the drive's enable: as it is, it may not take the motor's torque away.",
-        Trait.BLOCKS_RESET,
+        words=(
+            "the drive's STO feedback (io.drive_off_input) does not follow its hard-wired enable "
+            "(io.drive_enable_output)"
+        ),
+        meaning="the drive's STO feedback does not follow its hard-wired enable: it may not take the torque away",
+        remedy=(
+            "Check wire, relay and feedback of the drive's enable: as it is, it may not take the motor's torque away."
+        ),
+        traits=Trait.BLOCKS_RESET,
     )
-    # The cell does not answer the probe, though the stroke does
-    CELL_FROZEN = (
+    CELL_FROZEN = FaultRow(
         56,
-        "the tension cell does not answer the probe: {text}; its value is not the load's",
-        "Secure the load; check cell and amplifier with a known weight before a reset.",
-        Trait.CELL_DOUBTED | Trait.HIDES_TENSION | Trait.HIDES_UNTIL_RESET,
+        words="the tension cell does not answer the probe: {text}; its value is not the load's",
+        meaning="the tension cell does not answer the probe, the stroke does: its value is not the load's",
+        remedy="Secure the load; check cell and amplifier with a known weight before a reset.",
+        traits=Trait.CELL_DOUBTED
+        | Trait.HIDES_TENSION
+        | Trait.HIDES_UNTIL_RESET
+        | Trait.SHOWN_BY_TENSION
+        | Trait.SHOWN_BY_WAY,
     )
-    # The cell answers the probe, and the drive's position does not
-    ENCODER_STUCK = (
+    ENCODER_STUCK = FaultRow(
         57,
-        "the drive's position does not follow the probe, the tension does ({text}): its encoder is stuck",
-        "Secure the load; check the drive's encoder and its scale before a reset.",
-        Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE | Trait.HIDES_UNTIL_RESET,
+        words="the drive's position does not follow the probe, the tension does ({text}): its encoder is stuck",
+        meaning="the tension answers the probe, the drive's position does not follow its commands",
+        remedy="Secure the load; check the drive's encoder and its scale before a reset.",
+        traits=Trait.STROKE_DOUBTED | Trait.HIDES_DRIVE | Trait.HIDES_UNTIL_RESET,
     )
-    # Neither the drive's position nor the tension answers the probe
-    DRIVE_MOTIONLESS = (
+    DRIVE_MOTIONLESS = FaultRow(
         58,
-        "neither stroke nor tension answers the probe ({text}): the drive does not move",
-        "Look at the drive's display, its enabling inputs and its mechanics.",
-        Trait.STROKE_DOUBTED,
+        words="neither stroke nor tension answers the probe ({text}): the drive does not move",
+        meaning="neither stroke nor tension answers the probe",
+        remedy="Look at the drive's display, its enabling inputs and its mechanics.",
+        traits=Trait.STROKE_DOUBTED,
     )
-    # The stroke has moved by more than the tension shows and the declared motion of the payload explains
-    LOAD_UNSEEN = (
+    LOAD_UNSEEN = FaultRow(
         59,
-        "the stroke has gone where the tension does not show it: {text}; a frozen, drifting or wrongly scaled cell, or "
-        "a payload",
-        "Check the cell with a known weight; a payload that moves so far is declared by safety.heave_mm.",
-        Trait.CELL_DOUBTED,
+        words=(
+            "the stroke has gone where the tension does not show it: {text}; a frozen, drifting or wrongly scaled"
+            " cell, or a payload"
+        ),
+        meaning=(
+            "while COMPENSATING the stroke has gone by more newtons than the tension shows, the rope's lean and "
+            "`safety.heave_mm` taken off: a frozen or drifting cell, or a payload; in TENSIONING: the motor's "
+            "current shows a load of which the cell shows nothing or too little (frozen, or of wrong scale); then"
+            " TENSION moves nothing until the rope has been released, the cell corrected, or the daemon started "
+            "anew"
+        ),
+        remedy="Check the cell with a known weight; a payload that moves so far is declared by safety.heave_mm.",
+        traits=Trait.CELL_DOUBTED | Trait.SHOWN_BY_TENSION | Trait.SHOWN_BY_WAY,
     )
-    # Tension and stroke answer the probe, and not with the stiffness of before
-    ROPE_CHANGED = (
+    ROPE_CHANGED = FaultRow(
         61,
-        "the tension answers the stroke's probe by {text}: rope, spring or the cell's scale has changed",
-        "Secure the load; look at rope, clamp and spring, and check the cell with a known weight before a reset.",
+        words="the tension answers the stroke's probe by {text}: rope, spring or the cell's scale has changed",
+        meaning="tension and stroke answer the probe, by another stiffness than before",
+        remedy=(
+            "Secure the load; look at rope, clamp and spring, and check the cell with a known weight before a reset."
+        ),
+        traits=Trait.SHOWN_BY_TENSION,
     )
 
     @property

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.diagnosis.part import FROM_BUS, Part
+from rigctl.diagnosis.part import FROM_BUS
 from rigctl.model.faults import Fault, Trait, bits_of, having
+from rigctl.model.parts import Part
 
 DEVICES = ("tension", "drive", "inclination")
 """The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""

@@ -16,8 +16,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.diagnosis.live import LatchedCulprit
-from rigctl.diagnosis.part import Part
 from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous

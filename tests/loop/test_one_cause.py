@@ -11,8 +11,8 @@ import pytest
 from hil.faults.catalogue import BY_ID
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
-from rigctl.diagnosis.part import Part
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.operator_panel import answers

@@ -24,10 +24,10 @@ from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
-from rigctl.diagnosis.part import Part
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.checks import Check
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 from rigctl.recorder import chain

@@ -17,7 +17,7 @@ from hil.runs import rows_file
 from hil.ways_out import step_follower
 from rigctl.control.logbook import Logbook
 from rigctl.control.situation import Situation
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.wire import operator_view
 from rigctl.wire.instructions import Hands

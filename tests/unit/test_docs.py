@@ -28,6 +28,7 @@ from rigctl.cli import typer_app
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model import fault_page
 from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT
 
@@ -353,8 +354,9 @@ def test_the_architecture_names_every_ring(tmp_path: pathlib.Path) -> None:
 
 
 def test_the_operator_reads_about_every_fault() -> None:
-    section = (ROOT / "docs/operate.md").read_text().partition("\n## Faults\n")[2]
-    rows = re.findall(r"^\| `([A-Z_]+)` \| \S.* \| \S.* \|$", section, re.MULTILINE)
+    page = (ROOT / "docs/fault-list.md").read_text()
+    assert page == fault_page.document(), "run `python -m rigctl.model.fault_page > docs/fault-list.md`"
+    rows = re.findall(r"^\| `([A-Z_]+)` \| \S.* \| \S.* \|$", page, re.MULTILINE)
     assert sorted(rows) == sorted(fault.name for fault in Fault if fault is not Fault.NONE)
 
 

@@ -10,7 +10,7 @@ from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
 from hil.faults.stand import FaultPlace, Injector, Stand
 from rigctl.devices import objects
 from rigctl.devices.objects import DriveState
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 CELL_NOISE_N = 0.03
 ROPE_MM = 40.0

@@ -17,7 +17,7 @@ from rigctl.control.parking import REST_NS, UNDO_MM
 from rigctl.control.power_seen import UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
 from rigctl.control.stage import ARM_LIMIT_NS, KEPT_NS
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, REPORTED_MM
+from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SHOWN_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 from rigctl.model.faults import Trait, having
 from tests.builders.paths import ROOT
@@ -29,7 +29,7 @@ SAID = (
     f"within {load_at_rest.REST_MM:g} mm of stretch",
     f"at no more than {AUTHORITY_MM_S:g} mm/s",
     f"needing more than {CREEP_MM_S:g} mm/s",
-    f"a stroke more than {REPORTED_MM:g} mm from the latch",
+    f"a stroke more than {SHOWN_MM:g} mm from the latch",
     f"Beyond {NOT_HELD_MM:g} mm the drive is taken off power",
     f"beyond {CORRECTED_MM:g} mm the brake takes the load",
     f"not at rest {REST_NS * 1e-9:g} s after a stop should have ended",

@@ -79,7 +79,7 @@ NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {
         "FORCES_DISAGREE=35 ENABLE_IGNORED=36"
     ),
 }
-"""A changed number would change the meaning of an old recording; of `Check` it is the bit."""
+"""A changed number would change the meaning of an old recording; of `Check` it is the bit. A release adds its own."""
 GONE: dict[type[IntEnum] | type[IntFlag], set[int]] = {
     PowerOff: {3}, Note: {68}, Setting: {131, 132, 133}, Kind: {72}, Check: {33},
 }  # fmt: skip
@@ -101,19 +101,20 @@ CAUSE_BITS = (
 def test_a_number_in_a_file_keeps_its_meaning(kind: type[IntEnum] | type[IntFlag]) -> None:
     known = {name: int(number) for name, number in (word.split("=") for word in NUMBERS[kind].split())}
     found = {member.name: int(member).bit_length() - 1 if kind is Check else int(member) for member in kind}
-    assert found == known
+    assert {name: found.get(name) for name in known} == known
     assert GONE.get(kind, set()).isdisjoint(found.values())
 
 
 def test_faults_and_checks_fit_the_64_bits_that_records_and_replies_have_for_them() -> None:
     """``cause_bits`` and ``checks`` are one bit a member: one too many would fail the record of the tick."""
     free_causes, free_checks = 64 - max(fault.bit for fault in Fault).bit_length(), 64 - max(Check).bit_length()
-    assert (free_causes, free_checks) == (16, 27)
+    assert min(free_causes, free_checks) >= 8
 
 
 def test_a_cause_keeps_its_bit_and_no_fault_has_none() -> None:
     places = {name: int(place) for name, place in (word.split("=") for word in CAUSE_BITS.split())}
-    assert {fault.name: fault.bit for fault in Fault} == {"NONE": 0, **{name: 1 << at for name, at in places.items()}}
+    assert {name: Fault[name].bit for name in places} == {name: 1 << at for name, at in places.items()}
+    assert [fault.bit for fault in Fault] == [0, *(1 << at for at in range(len(Fault) - 1))]
 
 
 def test_a_set_of_causes_holds_each_once_and_gives_them_in_the_order_of_the_catalogue() -> None:

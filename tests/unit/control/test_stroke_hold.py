@@ -6,7 +6,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, REPORTED_MM, StrokeHold
+from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SHOWN_MM, StrokeHold
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -87,7 +87,7 @@ def test_the_correction_never_exceeds_its_authority_and_does_not_wind_up() -> No
     rig = Rig(offset=0.8)
     rig.run(3.0)
     assert rig.command == -AUTHORITY_MM_S
-    assert rig.hold.seen.excursion_mm > REPORTED_MM
+    assert rig.hold.seen.excursion_mm > SHOWN_MM
     rig.offset = 0.0
     rig.run(10.0)
     assert abs(rig.hold.seen.excursion_mm) < 2.0 * DEAD_ZONE_MM

@@ -7,10 +7,11 @@ from typing import Any
 
 import pytest
 
-from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE, Part
+from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE
 from rigctl.diagnosis.residuals import Residuals
 from rigctl.diagnosis.table import TABLE, Clue
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
 HEALTHY = Residuals(
@@ -97,6 +98,7 @@ SHOWN: list[tuple[Fault, dict[str, Any], tuple[Part, ...], str]] = [
     (Fault.ROPE_CHANGED, {}, (Part.ROPE,), "lost"),
     (Fault.TENSION_LOW, {}, (Part.ROPE, Part.CELL), "reads too little"),
     (Fault.LOAD_SINKS, {}, (Part.BRAKE, Part.PAYLOAD), "closed brake"),
+    *((fault, {}, (fault.part,), "words") for fault in Fault if fault.part is not None),
 ]  # fmt: skip
 
 

@@ -9,10 +9,10 @@ import numpy as np
 from rigctl.config import rig_file
 from rigctl.control.events import Kind
 from rigctl.diagnosis.diagnose import diagnose
-from rigctl.diagnosis.part import Part
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, Noted, around, latched, trips
 from rigctl.ipc.record import RECORD
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from tests.builders.paths import ROOT
 
 S = 1_000_000_000

@@ -10,7 +10,7 @@ from hil.faults.drawn.kinds import KINDS
 from hil.faults.fault_tables import confusion_lines
 from hil.faults.naming import NamedRow, Naming, good, naming, shares
 from rigctl.diagnosis.diagnose import Culprit
-from rigctl.diagnosis.part import Part
+from rigctl.model.parts import Part
 
 
 def culprit(*parts: Part, question: str = "") -> Culprit:

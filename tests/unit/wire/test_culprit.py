@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.diagnosis.diagnose import Culprit
-from rigctl.diagnosis.part import Part
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from rigctl.wire.alarm_words import alarm_rows, culprit_rows, listed
 from rigctl.wire.alarms import Alarm, Priority
 from rigctl.wire.operator_view import view

@@ -8,9 +8,9 @@ import pytest
 
 from rigctl.control.events import Kind, fault_text
 from rigctl.control.safety import Action
-from rigctl.diagnosis.part import Part
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
+from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 from rigctl.wire import state_words
