@@ -153,9 +153,8 @@ class Machine:
             return False
         if self.fault is Fault.NONE:
             self.fault = trip.fault
-        # In HOLD on a brake that is known not to hold, a trip that holds leaves the load to the motor.
-        changes: dict[str, object] = {"action": action}
-        changes["carry_until_ns"] = at.carry_until_ns if action is Action.HOLD else 0
+        kept_ns = at.carry_until_ns if action is Action.HOLD else 0  # from HOLD: the motor goes on
+        changes: dict[str, object] = {"action": action, "carry_until_ns": kept_ns}
         if action >= Action.QUICK_STOP > at.action:  # a quick stop under way keeps its deadline
             changes |= {"armed": False, "cut_ns": t_ns + self._cut_after_ns}
         if trip.at_once:

@@ -178,6 +178,7 @@ def test_a_cause_that_takes_the_power_off_leaves_a_load_kept_in_hold_to_the_moto
     before_mm = held.rig.truth.stroke_mm
     creeps(0.3)(Stand(held, "brake test"))
     held.run_until(Mode.FAULT, 20.0)
+    creeps(0.0)(Stand(held, "brake test"))
     held.run(3.0)
     assert held.loop.machine.fault is Fault.POSITION_DRIFTS
     assert held.record["held_by"] == HeldBy.MOTOR
