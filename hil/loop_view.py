@@ -5,10 +5,10 @@ from __future__ import annotations
 from rigctl.control.estimator import TensionFilter
 from rigctl.control.loop import Loop
 from rigctl.control.loop_probe import LoopProbe
-from rigctl.control.safety import Action
 from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.trials import Trial
 from rigctl.model.checks import Check
+from rigctl.model.reactions import Action
 from rigctl.model.verbs import Verb
 
 

@@ -20,13 +20,13 @@ from hil.plant.plant import compile_kernel, is_compiled
 from hil.rig import SimulatedRig
 from hil.truth import TruthLog
 from rigctl.config import rig_file as config
-from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control import realtime
 from rigctl.devices import can_interface, eds_file
 from rigctl.ipc import output_file
 from rigctl.ipc.service_manager import Watchdog, notify
 from rigctl.ipc.termination import ENDING, on_signals
+from rigctl.model.quantity import count
 
 WAIT_S = 0.001
 """Longest sleep; without traffic the rig's clocks, heartbeats and time-outs advance at this pace."""

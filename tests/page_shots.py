@@ -24,7 +24,7 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import Browser
 
-from rigctl.control.events import Kind
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Event, Mode
 from tests.builders import daemons

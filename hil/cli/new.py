@@ -10,9 +10,9 @@ from hil.new import rig_folder
 from hil.new.new_rig import check_name, make, paper
 from hil.new.rig_decisions import DECISIONS, DecidedRig, RigDecision, default
 from hil.scenario.errors import ScenarioError
-from rigctl.config.quantity import significant
 from rigctl.config.settings import RigSettings
 from rigctl.config.typed_number import TypedNumber, TypedNumberError
+from rigctl.model.quantity import significant
 
 
 def run(

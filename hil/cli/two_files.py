@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Sequence
 
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 
 _NAMES_SHOWN = 6
 

@@ -15,7 +15,7 @@ from hil.faults.judge import FaultResult
 from hil.faults.naming import NamedRow, Naming, confusion, shares
 from hil.faults.processes import ProcessFault
 from hil.runs.result_table import console
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 from rigctl.model.states import Mode
 
 WIDTH = 150

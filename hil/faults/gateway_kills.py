@@ -13,9 +13,9 @@ from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.client.connection import Client
 from rigctl.client.samples import Blocks
-from rigctl.config import quantity
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.ring import RingReader
+from rigctl.model import quantity
 from rigctl.model.states import Mode
 
 QUIET_S = 15.0

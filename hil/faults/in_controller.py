@@ -8,9 +8,10 @@ from functools import partial
 
 from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
 from hil.lockstep import Lockstep
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Trip
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
+from rigctl.model.reactions import Action
 from rigctl.model.verbs import Verb
 
 _of = partial(Injector, FaultPlace.CONTROLLER, needs=Needs.LOOP)

@@ -12,14 +12,15 @@ from hil.nodes.cylinder_drive import CylinderDrive, ServiceTool
 from hil.nodes.node import GENERIC_ERROR, Node
 from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import AiStatus, DriveState
+from rigctl.devices.objects import AiStatus
+from rigctl.model.device_states import STATUSWORD, DriveState
 from rigctl.model.parts import Part
 
 Address = tuple[int, int]
 CELL = (objects.AI_PROCESS_VALUE, 1)
 CELL_STATUS = (objects.AI_STATUS, 1)
 LONG, LATERAL = (objects.SLOPE_LONG, 0), (objects.SLOPE_LATERAL, 0)
-STATUS = (objects.STATUSWORD, 0)
+STATUS = (STATUSWORD, 0)
 STROKE, SPEED = (objects.POSITION_ACTUAL, 0), (objects.VELOCITY_ACTUAL_16, 0)
 _UNITS = {CELL: objects.N_PER_CELL_UNIT, LONG: 0.01, LATERAL: 0.01, STROKE: 1e-3, SPEED: 1e-2}
 """N, deg, mm, mm/s in one unit of the object."""

@@ -14,8 +14,9 @@ from hil.faults.lockstep_run import Floats, Run, TripEvent
 from hil.faults.statements import false_statements
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits, safety
-from rigctl.control.events import Kind
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 
@@ -262,7 +263,7 @@ def _persistence_s(trip: TripEvent, settings: RigSettings) -> float:
         r
         for r in rows
         if (r.fault, r.text[:TRIP_TEXT]) == (trip.fault, trip.text)
-        and r.action is not safety.Action.LOG
+        and r.action is not Action.LOG
         and math.isclose(r.sign * r.limit, trip.limit, abs_tol=1e-9)
     ]
     return max((row.persistence_ns * 1e-9 for row in same), default=0.0)

@@ -23,8 +23,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.events import Kind
 from rigctl.control.tension import Gains
+from rigctl.model.events import Kind
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

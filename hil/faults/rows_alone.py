@@ -11,8 +11,7 @@ from hil.faults.expected import ACCURACY_N, Around, Expected, InjectedFault, Rea
 from hil.faults.in_device import CELL, SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
-from rigctl.control.situation import Witness
-from rigctl.model.states import Mode
+from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Verb
 
 _LATER_S = 6.0

@@ -12,9 +12,8 @@ from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.rows_parked import AT_ONCE
 from hil.faults.stand import Injector
-from rigctl.control.situation import Witness
 from rigctl.model.parts import Part
-from rigctl.model.states import Mode
+from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Verb
 
 _LATER_S = 3.0

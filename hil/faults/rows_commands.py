@@ -12,7 +12,8 @@ from hil.faults.expected import ARMED, DRIVE_MS, POWER_OFF, RIDE, Around, Expect
 from hil.faults.rows_creep import HELD_MM
 from hil.faults.stand import Injector
 from rigctl.devices import objects
-from rigctl.devices.objects import DriveState, EmcyCode
+from rigctl.devices.objects import EmcyCode
+from rigctl.model.device_states import DriveState
 from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb

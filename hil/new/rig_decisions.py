@@ -12,10 +12,10 @@ from pydantic.fields import FieldInfo
 
 from hil.scenario.errors import ScenarioError
 from rigctl.config.bounds import GRAVITY_MM_S2
-from rigctl.config.quantity import unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.wording import KeyType
+from rigctl.model.quantity import unit_of
 
 LIFTING = 1.1
 """Largest target over the payload's weight: the paper's is 1.02; a larger one pulls at the mechanism from above."""

@@ -24,7 +24,8 @@ from hil.plant import Plant
 from rigctl.config.settings import RigSettings
 from rigctl.config.simulation_section import DriveSettings, SimulationSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState, EmcyCode, NmtState
+from rigctl.devices.objects import Controlword, EmcyCode
+from rigctl.model.device_states import STATUSWORD, DriveState, NmtState
 
 SERIAL = 402001
 MODES = frozenset({0, objects.CYCLIC_SYNCHRONOUS_VELOCITY})
@@ -110,7 +111,7 @@ class CylinderDrive(Node):
         """Defect of the same: nothing on the bus, and no loss of it, changes what the motor does."""
         self.readers.update(
             {
-                (objects.STATUSWORD, 0): self._statusword,
+                (STATUSWORD, 0): self._statusword,
                 (objects.POSITION_ACTUAL, 0): self._position,
                 (objects.VELOCITY_ACTUAL, 0): self._velocity,
                 (objects.VELOCITY_ACTUAL_16, 0): self._velocity_16,

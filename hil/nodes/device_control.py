@@ -7,7 +7,8 @@ from collections.abc import Callable
 from hil.nodes.drive_states import WHEN_STOPPED, command_of, next_state
 from hil.nodes.power_stage import PowerStage, StagePhase
 from rigctl.devices import objects
-from rigctl.devices.objects import OFF_STATES, Controlword, DriveState
+from rigctl.devices.objects import OFF_STATES, Controlword
+from rigctl.model.device_states import DriveState
 
 PROFILE_DECELERATION = 0x6084
 QUICK_STOP_OPTIONS = frozenset({0, 1, 2, 5, 6})

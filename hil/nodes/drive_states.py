@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import Controlword
+from rigctl.model.device_states import DriveState
 
 _COMMAND_BITS = (  # CiA 402 table "command coding": mask, value, command
     (0x82, 0x00, Controlword.DISABLE_VOLTAGE),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hil.nodes.deadline import Deadline
 from hil.nodes.network import RigNetwork
 from rigctl.devices import objects
-from rigctl.devices.objects import NmtState
+from rigctl.model.device_states import NmtState
 
 
 class HeartbeatConsumer(Deadline):

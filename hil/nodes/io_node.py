@@ -14,7 +14,8 @@ from hil.plant import Plant
 from rigctl.config.io_section import INPUTS_PER_BLOCK
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import EmcyCode, NmtState
+from rigctl.devices.objects import EmcyCode
+from rigctl.model.device_states import NmtState
 
 SERIAL = 401001
 _INHIBIT_TIME, _EVENT_TIMER = 3, 5  # sub-indices of 0x1800

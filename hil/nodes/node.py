@@ -20,7 +20,7 @@ from hil.plant import Plant
 from hil.wire import STANDARD_MASK
 from rigctl.config.simulation_section import DevicesSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import NmtState
+from rigctl.model.device_states import NmtState
 
 ERROR_FIELD = 0x1003
 ERROR_FIELD_LENGTH = 8

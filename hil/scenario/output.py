@@ -12,7 +12,7 @@ from hil.scenario.case import Case
 from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES, Figure, Values, figures
 from hil.scenario.play import Played
 from rigctl.config.bounds import findings
-from rigctl.config.quantity import unit_of
+from rigctl.model.quantity import unit_of
 
 COLUMNS = 4
 """Windows side by side in one table: five do not fit into 80 columns."""

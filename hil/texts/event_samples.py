@@ -8,22 +8,19 @@ from enum import IntEnum, IntFlag
 from itertools import product
 from typing import NamedTuple
 
-from rigctl.control.ending import EndStep
-from rigctl.control.escalation import Symptom
-from rigctl.control.events import Kind, Unmeasured
-from rigctl.control.safety import MOVES_OFF, POSITION, RUNAWAY, SPEED, Action
-from rigctl.control.situation import Witness
-from rigctl.control.snapshot import EStop
-from rigctl.devices import emergency
-from rigctl.devices.objects import STATUSWORD, DriveState
-from rigctl.ipc.record import NEVER_AGE_NS
+from rigctl.model import emergency
+from rigctl.model.device_states import STATUSWORD, DriveState
+from rigctl.model.events import Kind
+from rigctl.model.fault_words import MOVES_OFF, POSITION, RUNAWAY, SPEED
 from rigctl.model.faults import Fault
-from rigctl.model.signals import WATCHED
-from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.reactions import Action, Symptom
+from rigctl.model.signals import NEVER_AGE_NS, WATCHED
+from rigctl.model.states import EndStep, EStop, Event, HeldBy, LoadAtRest, Mode, PowerOff, Witness
+from rigctl.model.unmeasured import Unmeasured
 
 
 class EventSample(NamedTuple):
-    """An event by the values of its slot, see `rigctl.control.events.Kind`."""
+    """An event by the values of its slot, see `rigctl.model.events.Kind`."""
 
     kind: Kind
     a: int = 0

@@ -9,11 +9,12 @@ from types import MappingProxyType
 
 from hil.texts import event_samples
 from hil.texts.event_samples import in_name
-from rigctl.control import events
-from rigctl.devices.objects import DriveState
 from rigctl.ipc import notes, supervision
 from rigctl.model.checks import Check
+from rigctl.model.device_states import DriveState
+from rigctl.model.events import worded
 from rigctl.model.faults import Fault, Trait
+from rigctl.model.refusal_words import refusal_text
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 
@@ -30,7 +31,7 @@ def words() -> dict[str, str]:
 
 def _events() -> Named:
     for sample in event_samples.samples():
-        found = events.worded(*sample)
+        found = worded(*sample)
         yield sample.name, f"{found.severity}: {found.text}"
 
 
@@ -70,7 +71,7 @@ def _refused(
     known: Mapping[Check, str] = MappingProxyType({}),
     standing: Mapping[Fault, str] = MappingProxyType({}),
 ) -> str:
-    return events.refusal_text(refusal, verb, mode, checks, Fault.CELL_STALE, _LIMITS_N, value, known, standing)
+    return refusal_text(refusal, verb, mode, checks, Fault.CELL_STALE, _LIMITS_N, value, known, standing)
 
 
 _WORDED = (Trait.BLOCKS_RESET, Trait.AGE, Trait.DEVICE_SILENT)

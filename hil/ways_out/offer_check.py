@@ -9,8 +9,7 @@ from typing import Any
 
 from hil.branching import BranchPoint
 from hil.lockstep import Lockstep
-from rigctl.control.modes import TRIED_IN
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import TRIED_IN, Refusal, Verb
 from rigctl.wire.offers import PAY_OUT, bounds_of, refused_with
 
 ANSWERED_S = 0.01

@@ -12,8 +12,6 @@ from hil.faults.stand import Step
 from hil.lockstep import Lockstep
 from hil.ways_out.offer_check import misoffered
 from rigctl.commission.preflight import PreflightVerdict
-from rigctl.control.safety import Action
-from rigctl.control.situation import Witness
 from rigctl.devices.startup import StartupError
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
@@ -21,7 +19,8 @@ from rigctl.gateway.published_position import Cursor
 from rigctl.ipc.ledger import Standing
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
-from rigctl.model.states import Mode
+from rigctl.model.reactions import Action
+from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.operator_view import view

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from rigctl.cli.options import BAD, DONE, USAGE, end, load_rig_file, number_option, say, say_json
-from rigctl.config.quantity import count
 from rigctl.config.typed_number import TypedNumber
+from rigctl.model.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings

@@ -10,7 +10,6 @@ from rich.table import Table
 
 from rigctl.cli.probe_check import ProbeCheck
 from rigctl.config.bounds import Stop, findings
-from rigctl.config.quantity import count, significant, unit_of
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.telemetry_section import open_listen
@@ -18,6 +17,7 @@ from rigctl.control import held_tension, limits, safety, take_up
 from rigctl.design.verdict import Design
 from rigctl.devices import busload
 from rigctl.model.faults import Fault
+from rigctl.model.quantity import count, significant, unit_of
 from rigctl.model.signals import WATCHED
 from rigctl.model.states import Mode
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json, wrong_usage
-from rigctl.config import quantity
+from rigctl.model import quantity
 
 if TYPE_CHECKING:
     from rigctl.recorder.recording import Recording

@@ -11,7 +11,7 @@ import typer
 
 from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load_rig_file, say, say_json
 from rigctl.cli.recordings import read_recording
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings

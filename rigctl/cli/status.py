@@ -10,7 +10,7 @@ import typer
 
 from rigctl.cli.label_grid import grid
 from rigctl.cli.options import BAD, DONE, Connect, Json, Rig, daemon, end, say, say_json
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 from rigctl.wire import state_words as figures
 
 if TYPE_CHECKING:

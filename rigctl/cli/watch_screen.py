@@ -11,7 +11,7 @@ from rich.text import Text
 
 from rigctl.cli.unanswered import rows
 from rigctl.client.unanswered import unanswered_here
-from rigctl.config.quantity import count, significant
+from rigctl.model.quantity import count, significant
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarm_words import alarm_rows, banner_rows, culprit_rows
 from rigctl.wire.operator_view import view as operator_view

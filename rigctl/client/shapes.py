@@ -16,8 +16,8 @@ from msgspec import Meta
 
 from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line, printable
-from rigctl.config.quantity import count
 from rigctl.ipc.record import RECORD
+from rigctl.model.quantity import count
 
 Message = dict[str, Any]
 Check = Callable[[bytes], object]

@@ -24,9 +24,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission.motion import Array, HeldCommand, behind_play
-from rigctl.config import quantity
-from rigctl.control.events import Unmeasured
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
+from rigctl.model import quantity
+from rigctl.model.unmeasured import Unmeasured
 
 PITCH_ERROR_MM, PITCH_LEAD_MM = 0.003, 5.0  # of a screw of class C7, as a sine over a turn; no encoder shows it
 PITCH_SHARE = 2.0 * math.pi * PITCH_ERROR_MM / PITCH_LEAD_MM  # of a small stroke, at most

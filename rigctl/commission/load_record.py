@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy.typing as npt
 
-from rigctl.control.events import Kind
 from rigctl.control.logbook import ZERO_C_K
 from rigctl.control.trials import LoadBin
+from rigctl.model.events import Kind
 
 
 def bins_of(events: npt.NDArray[Any]) -> list[LoadBin]:

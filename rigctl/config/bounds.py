@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rigctl.config.quantity import unit_of
+from rigctl.model.quantity import unit_of
 from rigctl.model.signals import WATCHED
 
 if TYPE_CHECKING:

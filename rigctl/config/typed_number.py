@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 
-from rigctl.config.quantity import significant
+from rigctl.model.quantity import significant
 
 _DECIMAL = re.compile(r"[+-]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][+-]?[0-9]+)?")
 _WHOLE = re.compile(r"[+-]?[0-9]+")

@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from rigctl.config import strict_yaml
 from rigctl.config.one_line import on_one_line
-from rigctl.config.quantity import unit_of
+from rigctl.model.quantity import unit_of
 
 Path = strict_yaml.Path
 _KINDS = {int: "a whole number", float: "a number", str: "text", bool: "true or false"}

@@ -11,9 +11,9 @@ import math
 from rigctl.config.settings import RigSettings
 from rigctl.control.load_at_rest import STROKE_BITS
 from rigctl.control.rope_memory import CONTRADICTED_BIT, RopeMemory
-from rigctl.control.situation import Witness
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.faults import Fault, Trait, bits_of, having
+from rigctl.model.states import Witness
 
 LOWERS_MM_S = 2.0
 """By the encoder alone, which shows no tension."""

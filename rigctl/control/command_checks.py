@@ -14,14 +14,15 @@ from rigctl.control.observer import Observer
 from rigctl.control.power_seen import STILL_NS
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.safety import Action, Watch
+from rigctl.control.safety import Watch
 from rigctl.control.settings_in_force import SettingsInForce
-from rigctl.control.situation import Situation, Witness
+from rigctl.control.situation import Situation
 from rigctl.control.stage import NO_VALUES, Accepted
-from rigctl.devices.emergency import LASTING
 from rigctl.devices.objects import drive_state
 from rigctl.model.checks import Check
-from rigctl.model.states import Mode
+from rigctl.model.emergency import LASTING
+from rigctl.model.reactions import Action
+from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Verb
 
 RECHECK_NS = 600_000_000_000

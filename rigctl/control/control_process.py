@@ -36,6 +36,7 @@ from rigctl.ipc.ledger import in_force
 from rigctl.ipc.runtime_folder import REFUSED, WAITS, FolderError, Runtime
 from rigctl.ipc.termination import EXIT_STARTS_ANEW, on_signals
 from rigctl.model.checks import Check
+from rigctl.model.device_states import STATUSWORD
 
 WARM_UP_TICKS = 50
 # Other interfaces filter in python-can, where a refused frame ends a drain and old samples would pile up behind it.
@@ -93,7 +94,7 @@ def warm_up(settings: RigSettings, gains: Gains, process_data: ProcessData) -> N
 
 def _answer(bus: can.BusABC, settings: RigSettings, process_data: ProcessData) -> None:
     samples = {
-        od.AI_PROCESS_VALUE: 300_000, od.SLOPE_LONG: 10, od.STATUSWORD: 0x0237, od.POSITION_ACTUAL: 50_000,
+        od.AI_PROCESS_VALUE: 300_000, od.SLOPE_LONG: 10, STATUSWORD: 0x0237, od.POSITION_ACTUAL: 50_000,
         od.VELOCITY_ACTUAL: 1, od.VELOCITY_ACTUAL_16: 1, od.CURRENT_ACTUAL: 100, od.DIGITAL_INPUTS: 0xFFFFFFFF,
         od.INPUTS_8: od.EVERY_INPUT_8,
     }  # fmt: skip

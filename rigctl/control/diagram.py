@@ -11,11 +11,11 @@ from rigctl.control.escalation import STEPS
 from rigctl.control.machine import SUPERVISED_NS
 from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Guard, decide
 from rigctl.control.power_seen import SETTLES_NS, STILL_NS
-from rigctl.control.safety import Action
 from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, OFF_LIMIT_NS, ROWS, STAGES, DriveStage, Input, Sequence, StageRow
+from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Input, Sequence, StageRow
+from rigctl.model.reactions import Action
 from rigctl.model.states import Event, Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import OFF_LIMIT_NS, Refusal, Verb
 
 _HEAD = f"""\
 # Modes

@@ -12,7 +12,7 @@ from rigctl.control.preload import Preload
 from rigctl.control.stroke_hold import SHOWN_MM, StrokeHold
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import NmtState
+from rigctl.model.device_states import NmtState
 
 STOPPED_MM_S = 0.05
 STOP_LIMIT_NS = 2_000_000_000

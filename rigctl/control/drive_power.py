@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, DriveState, drive_state
+from rigctl.devices.objects import STOPPING_STATES, UNPOWERED_STATES, drive_state
+from rigctl.model.device_states import DriveState
 from rigctl.model.states import DrivePower
 
 CURRENT_SHARE = 0.05

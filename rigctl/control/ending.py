@@ -7,10 +7,10 @@ until the rope is slack, and the loop ends. A second request leaves the load to 
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.carried_load import longest_lowering_s
+from rigctl.model.states import EndStep
 
 WAITS_NS = 10_000_000_000
 """From the request, or from a HOLD that stops the lowering, until the motor lowers the load."""
@@ -22,17 +22,6 @@ LIMIT_S = 120.0
 The supervisor waits for so long, and ``TimeoutStopSec`` of ``deploy/systemd/rigctl@.service`` is longer.
 """
 _ROOM = 2.0  # for a lowering that HOLD stops and that begins anew
-
-
-class EndStep(IntEnum):
-    """How far an end is that the load delays; the number is in the record of the event."""
-
-    WAITS = 1
-    LOWERS = 2
-    LOWERED = 3
-    LEFT = 4  # by a second request
-    GONE = 5  # the motor has the load no more, and the rope is not known to be slack
-    LATE = 6  # the rope is not slack in time
 
 
 def limit_s(settings: RigSettings) -> float:

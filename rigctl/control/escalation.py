@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.machine import SUPERVISED_NS
-from rigctl.control.safety import BRAKE_SLIP_MM_S, Action, Trip
+from rigctl.control.safety import BRAKE_SLIP_MM_S, Trip
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stroke_hold import AUTHORITY_MM_S
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action, Symptom
 
 _MS = 1_000_000
 RISE_MM = 0.5  # of stretch: a held stroke adds none
@@ -24,25 +24,6 @@ ANSWER_NS = 30 * _MS  # for a drive to show by its state that it has taken a com
 BLIND_MM = 0.2  # with two answers and the stop itself, a drive that is not heard moves less than 1 mm
 RAMP_SPARE_S = 5.0
 UNSEEN_S = 0.1  # an unseen stroke may creep; a burst of lost frames is over sooner
-
-
-class Symptom(IntEnum):
-    """Sign that a reaction did not help; the number is in the event."""
-
-    RAMP_RISES = 1
-    RAMP_LATE = 2
-    HOLD_RISES = 3
-    HOLD_MOVES = 4
-    STOP_MOVES = 5
-    STOP_DRIFTS = 6
-    STOP_STAYS_ON = 7
-    OFF_DRIFTS = 8
-    HOLD_UNSEEN = 9
-    HOLD_BLIND = 10
-    STOP_UNANSWERED = 11
-    OFF_UNANSWERED = 12
-    OFF_STAYS_ON = 13
-    SILENCE_MOVES = 14
 
 
 @dataclass

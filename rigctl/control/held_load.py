@@ -9,7 +9,6 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import BrakeFlag, KeptBrake
 from rigctl.control.carried_load import FOLLOWS_MM, WITNESS_TEXT, CarriedLoad
 from rigctl.control.escalation import Escalator
-from rigctl.control.events import Kind
 from rigctl.control.held_tension import HeldTension
 from rigctl.control.logbook import Logbook, number
 from rigctl.control.machine import SLIP_BITS, Machine
@@ -17,15 +16,16 @@ from rigctl.control.observer import Observer
 from rigctl.control.parking import UNDO_MM, UNDONE_TEXT, FirstSecond, Parking
 from rigctl.control.power_seen import STILL_NS, stopping_ns
 from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.safety import Action, Trip, Watch
-from rigctl.control.situation import Witness
+from rigctl.control.safety import Trip, Watch
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import KEPT, KEPT_NS, TickSeen
 from rigctl.control.stroke_hold import CREEP_MM_S, SHOWN_MM, StrokeHold
 from rigctl.control.tension import Estimate, TensionLaw
 from rigctl.control.trials import Trial
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import HeldBy, Mode, PowerOff
+from rigctl.model.reactions import Action
+from rigctl.model.states import HeldBy, Mode, PowerOff, Witness
 
 _MOVES_BIT = Fault.STROKE_MOVES.bit
 _ON_BRAKE = frozenset({HeldBy.BRAKE, HeldBy.UNKNOWN})

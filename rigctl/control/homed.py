@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 from rigctl.config.built_type import built
 from rigctl.config.cylinder_section import CylinderSettings
+from rigctl.model.verbs import STROKE_TOLERANCE_MM
 
-TOLERANCE_MM = 0.5
 GAP_NS = 100_000_000  # over a longer gap the speed does not predict the stroke
 
 
@@ -57,7 +57,7 @@ class Homed:
         if math.isnan(before_mm):
             return self._first(stroke_mm)
         jump_mm = abs(stroke_mm - before_mm - usual_mm)
-        if jump_mm <= TOLERANCE_MM + spare_mm:
+        if jump_mm <= STROKE_TOLERANCE_MM + spare_mm:
             return None
         self.known, self.doubted, reported = False, True, self.jump_mm > 0.0
         self.jump_mm = max(self.jump_mm, jump_mm)
@@ -76,7 +76,7 @@ class Homed:
         elif last.mm is None:
             against = last.why
         else:
-            against = f"{last_mm:.2f} mm when last known" if abs(stroke_mm - last_mm) > TOLERANCE_MM else ""
+            against = f"{last_mm:.2f} mm when last known" if abs(stroke_mm - last_mm) > STROKE_TOLERANCE_MM else ""
         self.known = not against or self._waiver is not None
         self.doubted = not self.known
         why = against or ("as when last known" if last.mm is not None else "none on record to compare it with")

@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.safety import ARMED, UNHEARD_NS, Action, Row, status_stale_ns
+from rigctl.control.safety import ARMED, UNHEARD_NS, Row, status_stale_ns
 from rigctl.control.snapshot import FieldValue, Snapshot
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.signals import INCLINOMETER, STATUS, WATCHED, Reading
 from rigctl.model.states import Mode
 

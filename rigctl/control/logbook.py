@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.hold_sockets import Hold
 from rigctl.control.homed import StrokeVerdict
 from rigctl.control.inbox import Inbox
@@ -27,6 +26,7 @@ from rigctl.ipc.hold_socket import NAME_BYTES
 from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Flag, Quality, Slot
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from rigctl.model.states import HeldBy
 from rigctl.model.verbs import Refusal
 

@@ -13,7 +13,6 @@ from rigctl.control.cell_correction import CellHistory
 from rigctl.control.clock import Clock
 from rigctl.control.drive_command import STOP_LIMIT_NS, DriveCommand
 from rigctl.control.ending import Ending
-from rigctl.control.events import Kind
 from rigctl.control.gain_table import GainTable
 from rigctl.control.held_load import HeldLoad
 from rigctl.control.held_tension import HeldTension
@@ -32,7 +31,7 @@ from rigctl.control.power_seen import stopping_ns
 from rigctl.control.probe_plan import plan
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.safety import Action, Trip, Watch
+from rigctl.control.safety import Trip, Watch
 from rigctl.control.signs import SignCheck
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import NOT_LEFT, TickSeen
@@ -44,7 +43,9 @@ from rigctl.devices.objects import drive_state
 from rigctl.devices.process_data import ProcessData
 from rigctl.devices.sdo import Watched
 from rigctl.ipc.correction import Correction
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode, PowerOff
 from rigctl.model.verbs import Verb
 

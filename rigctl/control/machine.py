@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 from rigctl.control import arming, modes, stage
 from rigctl.control.arming import Preparation
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation
 from rigctl.control.stage import (
     CUT_AFTER_NS,
     KEPT_NS,
     NO_VALUES,
     NOT_LEFT,
-    OFF_LIMIT_NS,
     Accepted,
     Input,
     Sequence,
@@ -27,8 +26,9 @@ from rigctl.control.stage import (
 )
 from rigctl.devices.drive import Power
 from rigctl.model.faults import Fault, Trait, bits_of, having
+from rigctl.model.reactions import Action
 from rigctl.model.states import Event, Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import OFF_LIMIT_NS, TRIED_IN, Refusal, Verb
 
 SLIP_BITS = bits_of(having(Trait.MOTOR_MAY_CARRY))
 SUPERVISED_NS = 2_000_000_000
@@ -213,7 +213,7 @@ class Machine:
         if verb is Verb.RESET and situation.drive_faulted:
             self.sequence = stage.after(self.sequence, Input.DRIVE_RESET, t_ns, command=command)
             return None
-        if verb in modes.TRIED_IN:
+        if verb in TRIED_IN:
             self.sequence = replace(self.sequence, tried=command)
             return None
         self._accept(command, t_ns)
@@ -279,7 +279,7 @@ class Machine:
             command = command._replace(taken_s=(t_ns - command.since_ns) * 1e-9)
         if row.answer is not Refusal.NONE and row.answer is not None:
             self._answer(command, row.answer)
-        elif row.input is Input.ENABLED and command.verb in modes.TRIED_IN and command.id is not None:
+        elif row.input is Input.ENABLED and command.verb in TRIED_IN and command.id is not None:
             self.sequence = replace(self.sequence, tried=command)
         elif row.input is not Input.PREPARED:
             self._accept(command, t_ns)

@@ -6,12 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.control.homed import TOLERANCE_MM
-from rigctl.control.situation import Situation, Witness
+from rigctl.control.situation import Situation
 from rigctl.ipc.record import COMMAND
 from rigctl.model.checks import HOST_CHECKS, Check
-from rigctl.model.states import Event, Mode
-from rigctl.model.verbs import VALUES, Refusal, Verb
+from rigctl.model.states import Event, Mode, Witness
+from rigctl.model.verbs import CARRY_S, STROKE_TOLERANCE_MM, TRIED_IN, VALUES, Refusal, Verb
 
 
 def command_slot(t_ns: int, id_: int, code: int, *values: float) -> tuple[Any, ...]:
@@ -115,7 +114,7 @@ def regulated_response(situation: Situation) -> Refusal:
 
 def stroke_as_measured(situation: Situation) -> Refusal:
     """The drive's position is the stroke that the operator has measured."""
-    agrees = abs(situation.measured_mm - situation.stroke_mm) <= TOLERANCE_MM
+    agrees = abs(situation.measured_mm - situation.stroke_mm) <= STROKE_TOLERANCE_MM
     return Refusal.NONE if agrees else Refusal.STROKE_DIFFERS
 
 
@@ -173,8 +172,6 @@ class Transition:
     guard: Guard | None = None
 
 
-CARRY_S = 1.0, 3600.0
-"""Shortest and longest time of a CARRY."""
 _WITNESSES = frozenset(map(float, Witness))
 _MAY_MOVE = tuple(mode for mode in Mode if mode.may_move)
 
@@ -220,12 +217,6 @@ class Decision:
     """The command ends what is under way, and does no more."""
 
 
-TRIED_IN = {
-    Verb.TARE: (Mode.DISARMED, Mode.HOLD),
-    Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
-    Verb.IDENTIFY: (Mode.HOLD,),
-    Verb.RESPONSE: (Mode.HOLD, Mode.COMPENSATING),
-}
 FILED = frozenset({*TRIED_IN, Verb.GAINS})  # their results are put on record before they take effect
 
 _TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_tight_if_needed}

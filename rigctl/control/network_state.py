@@ -12,8 +12,10 @@ import can
 from rigctl.config.settings import RigSettings
 from rigctl.control.channels import NEVER_NS, Data, NoDriveStatus, Take
 from rigctl.control.readback import Readback
-from rigctl.devices import can_errors, emergency, sdo
 from rigctl.devices import objects as od
+from rigctl.devices import sdo
+from rigctl.model import can_errors, emergency
+from rigctl.model.device_states import NmtState
 
 MAX_NOTICES = 32
 ANSWERED_NS = 1_000_000_000  # an SDO server answers within this time
@@ -130,7 +132,7 @@ class NetworkState:
         if len(data) != 1:
             raise ValueError("length")
         state = data[0] & 0x7F
-        if state == od.NmtState.BOOT_UP:
+        if state == NmtState.BOOT_UP:
             if node in self._optional:
                 self._optional[node].restart()
             else:

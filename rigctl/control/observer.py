@@ -26,7 +26,7 @@ from rigctl.control.rope_memory import RopeMemory
 from rigctl.control.run_out import RunOutTable, stale_ns
 from rigctl.control.signs import SignCheck
 from rigctl.control.sinking import Sinking
-from rigctl.control.snapshot import EStop, Snapshot
+from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import held_by
 from rigctl.control.stretch_lead import StretchLead
 from rigctl.control.stroke_hold import StrokeHold
@@ -42,12 +42,12 @@ from rigctl.devices.objects import (
     STOPPING_STATES,
     UNPOWERED_STATES,
     Controlword,
-    DriveState,
     drive_state,
 )
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.record import Flag
-from rigctl.model.states import Mode
+from rigctl.model.device_states import DriveState
+from rigctl.model.states import EStop, Mode
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value

@@ -13,7 +13,6 @@ from rigctl.control import arming, modes, trials
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
 from rigctl.control.command_checks import CommandChecks
-from rigctl.control.events import Kind
 from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
 from rigctl.control.logbook import Logbook, number
@@ -22,18 +21,20 @@ from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
 from rigctl.control.readback import Readback
 from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.safety import Action, Trip, Watch
+from rigctl.control.safety import Trip, Watch
 from rigctl.control.settings_in_force import SettingsInForce
-from rigctl.control.situation import Situation, Witness
+from rigctl.control.situation import Situation
 from rigctl.control.stage import READY, SLIPPED, Accepted, TickSeen
 from rigctl.control.tension import TensionLaw
 from rigctl.devices.objects import drive_state
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
-from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
+from rigctl.model.reactions import Action
+from rigctl.model.states import Mode, Witness
+from rigctl.model.verbs import TRIED_IN, VALUES, Refusal, Setting, Verb
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 _Values = dict[str, float]  # of a command, by the names in `VALUES`
@@ -243,7 +244,7 @@ class Orders:
             figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
         elif given.verb in (Verb.TARGET, Verb.TENSION):
             figures = {"target_n": self._law.target_n}
-        elif given.verb in modes.TRIED_IN and given.refusal is Refusal.NONE:
+        elif given.verb in TRIED_IN and given.refusal is Refusal.NONE:
             figures = self._found
         self._reply(t_ns, given.id, given.refusal, checks, {**figures, **_taken(given)})
 

@@ -10,6 +10,7 @@ from rigctl.devices import codecs, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData, wanted
 from rigctl.ipc.ring import RingWriter
+from rigctl.model.device_states import NmtState
 
 CUTS, NMT_STOPS = 5, 10  # in as many ticks, since a frame may be lost
 CONTROLWORD_WRITTEN = (od.CONTROLWORD, 0)  # by SDO, see `Outbox.silence`
@@ -31,7 +32,7 @@ class Outbox:
         period_ticks = settings.can.heartbeat_ms * settings.loop.rate_hz // 1000
         self._heartbeat_every = max(1, period_ticks)
         self._until_heartbeat = 1
-        self._operational = bytes([od.NmtState.OPERATIONAL])
+        self._operational = bytes([NmtState.OPERATIONAL])
         self._stop_drive = bytes([od.NMT_STOP, settings.cylinder.node])
         self._cut_power = sdo.write_request(*CONTROLWORD_WRITTEN, od.Controlword.DISABLE_VOLTAGE)
         self._drive_node = settings.cylinder.node

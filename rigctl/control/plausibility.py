@@ -10,9 +10,9 @@ import math
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_step import CellStep
 from rigctl.control.findings import PlausibilitySeen
-from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.inbox import Inbox
 from rigctl.model.states import Mode
+from rigctl.model.verbs import STROKE_TOLERANCE_MM
 
 STROKE_MEMORY_S = 1.0
 CONTRADICTION_MEMORY_S = 0.2
@@ -118,7 +118,7 @@ class Plausibility:
             self._drive.follow(inbox.drive.speed_mm_s)
             seen.speed_error_mm_s = seen.stroke_error_mm = 0.0
         # A jump while the drive is off is the stroke's own fault; its trace must not trip the arming that follows.
-        jumped = not drive_enabled and abs(moved_mm - said_mm) > TOLERANCE_MM
+        jumped = not drive_enabled and abs(moved_mm - said_mm) > STROKE_TOLERANCE_MM
         apart_mm = 0.0 if jumped else moved_mm - said_mm
         seen.contradiction_mm = self._contradiction_keep * seen.contradiction_mm + apart_mm
         self._look_at_stretch(inbox, drive_enabled and mode.moves_stroke, moved_mm, slack)

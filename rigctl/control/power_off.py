@@ -7,9 +7,9 @@ Nor is a load at rest alone, which a motor may carry.
 from __future__ import annotations
 
 from rigctl.control.load_at_rest import REST_NS, LoadRest
-from rigctl.control.safety import Action
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import LoadAtRest, PowerOff
 
 WAIT_NS = 5_000_000_000  # the drive's own supervision (2 s at most), then rest

@@ -10,7 +10,8 @@ import math
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
-from rigctl.devices.objects import UNPOWERED_STATES, Controlword, DriveState
+from rigctl.devices.objects import UNPOWERED_STATES, Controlword
+from rigctl.model.device_states import DriveState
 from rigctl.model.states import REST_S
 
 STILL_NS = 200_000_000

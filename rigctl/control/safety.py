@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from enum import Enum, IntEnum, auto
+from enum import Enum, auto
 from itertools import repeat
 from operator import call, gt, lt
 from typing import NamedTuple
@@ -25,24 +25,16 @@ from rigctl.control.held_tension import (
     fall_limit_n,
     stretch_limit_mm,
 )
-from rigctl.control.homed import TOLERANCE_MM
 from rigctl.control.run_out import stale_ns
-from rigctl.control.snapshot import EStop, FieldValue, Snapshot, reader
-from rigctl.devices.objects import DEVICE_HEARTBEAT_MS, NmtState
+from rigctl.control.snapshot import FieldValue, Snapshot, reader
+from rigctl.devices.objects import DEVICE_HEARTBEAT_MS
 from rigctl.model.checks import Check
+from rigctl.model.device_states import NmtState
+from rigctl.model.fault_words import LINGERS, MOVES_OFF, POSITION, RUNAWAY, SPEED
 from rigctl.model.faults import Fault, Trait, having
-from rigctl.model.states import Mode
-
-
-class Action(IntEnum):
-    """Reaction of a row, the weakest first. All but LOG latch a fault."""
-
-    LOG = 0  # write an event
-    RAMP_DOWN = 1  # lower the tension on its ramp until the rope is slack, then hold
-    HOLD = 2  # stop the stroke under power; at standstill the brake takes the load
-    QUICK_STOP = 3  # the drive stops on its own ramp, then power off with the brake closed
-    POWER_OFF = 4  # the same, but power is cut and the brake closes even if the drive has not stopped in its time
-    SILENCE = 5  # NMT stop, then neither command nor heartbeat: the drive stops by its own supervision
+from rigctl.model.reactions import Action
+from rigctl.model.states import EStop, Mode
+from rigctl.model.verbs import STROKE_SPARE_MM, STROKE_TOLERANCE_MM
 
 
 class Bars(Enum):
@@ -110,7 +102,6 @@ INTERNAL_LIMIT_NS = 100 * _MS  # five lags of the drive: it may reach its curren
 LINGER_NS = 1_000 * _MS  # a drive that goes off needs less for its ramp and brake
 HEARTBEAT_SILENT_NS = 5 * DEVICE_HEARTBEAT_MS * _MS  # as for STATUS_PERIODS: no burst takes five in a row
 ENABLE_NS = 500 * _MS  # for the relay of the drive's enable, its feedback and the node's inhibit time
-STROKE_SPARE_MM = 2.0
 SPEED_ERROR_MM_S, SPEED_ERROR_NS = 2.5, 15 * _MS  # a lag 50 % above the plant's makes an error of 1.5 mm/s at 10 mm/s
 STROKE_ERROR_MM = 0.5
 CONTRADICTION_MM = 0.3
@@ -148,9 +139,6 @@ _LOCAL = "it takes no commands from the bus (statusword bit 9, remote, is off)"
 _LIMITS = "a limit of its own is active (statusword bit 11)"
 _IGNORES = "it does not follow the commanded speed (statusword bit 12 is off)"
 _ELSEWHERE = "the drive has been enabled by somebody else"
-LINGERS = "the drive does not show that it has gone off though it is commanded to"
-SPEED, POSITION = "speed", "position"  # by which the drive misses its command
-RUNAWAY, MOVES_OFF = "speed grows", "moves though off"
 _POWERED = "the stroke moves under power"
 _DEVICE_WORDS = {"cylinder": "cylinder drive", "io": "I/O node"}
 
@@ -185,7 +173,7 @@ def table(settings: RigSettings) -> tuple[Row, ...]:
             words=lambda x: x.readback.words),
         Row(Fault.SUPERVISION_LOST, FieldValue("readback.disobeys"), 0, 0, _ARMED, "commands", lost,
             words=lambda x: x.readback.words),
-        Row(Fault.STROKE_JUMPED, FieldValue("stroke_jump_mm"), TOLERANCE_MM, 0, _ARMED, "mm", lost),
+        Row(Fault.STROKE_JUMPED, FieldValue("stroke_jump_mm"), STROKE_TOLERANCE_MM, 0, _ARMED, "mm", lost),
         Row(Fault.SYNC_LOST, FieldValue("sync_age_ns"), stale, 0, _ARMED, "ns"),
         Row(Fault.DRIVE_STALE, FieldValue("drive_age_ns"), stale, 0, _ARMED, "ns"),
         Row(Fault.SYNC_LOST, _of_load(settings, "sync_age_ns"), stale, UNHEARD_NS, _OFF, "ns",

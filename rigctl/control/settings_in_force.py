@@ -8,14 +8,15 @@ from dataclasses import replace
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.cell_correction import CellHistory
-from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.logbook import Logbook
 from rigctl.control.machine import Machine
 from rigctl.control.observer import Observer
 from rigctl.control.tension import Gains, TensionLaw
 from rigctl.ipc.correction import Correction, CreepTerm, creep_share, creep_text
 from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.events import Kind
 from rigctl.model.states import Mode
+from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Refusal, Setting
 
 MS_MOST = 1000.0  # a sensitivity peak above it is no measurement

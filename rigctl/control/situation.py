@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from operator import attrgetter
 from typing import Any
 
 from rigctl.ipc.record import SITUATION
-
-
-class Witness(IntEnum):
-    """What shows the motion of a load that the motor carries because its brake does not hold it."""
-
-    BOTH = 0  # encoder and cell agree, or an operator has named neither
-    ENCODER = 1
-    CELL = 2
+from rigctl.model.states import Witness
 
 
 @dataclass(frozen=True)

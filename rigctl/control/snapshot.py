@@ -6,7 +6,6 @@ import math
 import sys
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
-from enum import IntFlag
 from operator import attrgetter
 from typing import Any
 
@@ -25,13 +24,6 @@ from rigctl.control.power_seen import PowerSeen
 from rigctl.model.states import HeldBy, LoadAtRest
 
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
-
-
-class EStop(IntFlag):
-    """Inputs on which the emergency stop reads as pressed; the value of its trip."""
-
-    DRIVE = 1
-    IO_NODE = 2
 
 
 @dataclass(slots=True)

@@ -16,16 +16,14 @@ from typing import Any, NamedTuple
 
 from rigctl.control import modes
 from rigctl.control.arming import NOT_PREPARED, ArmingStep, Preparation
-from rigctl.control.safety import Action
 from rigctl.devices.drive import Power
+from rigctl.model.reactions import Action
 from rigctl.model.states import Event, HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 
 ARM_LIMIT_NS = 2_000_000_000
 """Time a drive has to become enabled: by ARM, and when the motor takes the load back from the brake."""
 CUT_AFTER_NS = 60_000_000  # the power of a drive that has not stopped by then is cut while it moves
-OFF_LIMIT_NS = 3_000_000_000
-"""Time a drive has to stop, to close its brake and to go off after a DISARM."""
 DRIVE_RESET_NS = 1_000_000_000
 """Time a drive has to leave its fault state after a RESET."""
 KEPT_NS = 600_000_000_000

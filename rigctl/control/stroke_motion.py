@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.gain_table import GainTable
 from rigctl.control.held_load import HeldLoad
 from rigctl.control.logbook import Logbook
@@ -16,6 +15,7 @@ from rigctl.control.observer import Observer
 from rigctl.control.orders import Orders
 from rigctl.control.signs import SignCheck
 from rigctl.control.tension import Estimate, TensionLaw
+from rigctl.model.events import Kind
 from rigctl.model.states import Event, Mode
 
 

@@ -16,6 +16,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.process_data import DriveUnits
 from rigctl.ipc.record import Quality
+from rigctl.model.device_states import STATUSWORD
 
 Data = bytes | bytearray
 
@@ -84,7 +85,7 @@ def drive_decoder(layout: PdoLayout, units: DriveUnits) -> Callable[[Data], tupl
     """Statusword, stroke in mm and speed in mm/s (CiA 402: 0x6041, 0x6064, 0x2044); NaN without a speed."""
     split = (od.VELOCITY_ACTUAL_16, 0) not in layout.objects
     speed = () if split else ((od.VELOCITY_ACTUAL_16, 0),)
-    read, unit_mm = layout.reader((od.STATUSWORD, 0), (od.POSITION_ACTUAL, 0), *speed), units.position_mm
+    read, unit_mm = layout.reader((STATUSWORD, 0), (od.POSITION_ACTUAL, 0), *speed), units.position_mm
 
     def decode(data: Data) -> tuple[int, float, float]:
         statusword, position, velocity = read(data)

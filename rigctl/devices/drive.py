@@ -5,7 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import Controlword
+from rigctl.model.device_states import DriveState
 
 
 class Power(IntEnum):

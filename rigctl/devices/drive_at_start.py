@@ -11,9 +11,10 @@ from typing import NoReturn
 
 from rigctl.devices import objects as od
 from rigctl.devices.drive import LeftInDrive
-from rigctl.devices.objects import Controlword, DriveState, drive_state
+from rigctl.devices.objects import Controlword, drive_state
 from rigctl.devices.remote_node import RemoteNode, SilentError, StartupError
 from rigctl.devices.startup_bus import StartupBus
+from rigctl.model.device_states import STATUSWORD, DriveState, NmtState
 
 POWERED = frozenset({DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE})
 """States in which the motor may have torque."""
@@ -34,7 +35,7 @@ class DriveAtStart:
 
     def state(self) -> DriveState:
         """0x6041 now."""
-        return drive_state(self._drive.read(od.STATUSWORD))
+        return drive_state(self._drive.read(STATUSWORD))
 
     def known_state(self, until_ns: int) -> DriveState:
         """The drive's state; one that is silent is waited for until ``until_ns``.
@@ -46,7 +47,7 @@ class DriveAtStart:
         """
         try:
             self._drive.await_answer(
-                od.STATUSWORD, until_ns, self._say, ends=lambda: self._drive.reported is od.NmtState.STOPPED
+                STATUSWORD, until_ns, self._say, ends=lambda: self._drive.reported is NmtState.STOPPED
             )
             return self.state()
         except SilentError:
@@ -81,7 +82,7 @@ class DriveAtStart:
             self._give_up(str(error))
         if left in POWERED:
             self._give_up(f"{self._drive.name} stays in {left.name.replace('_', ' ')} after disable voltage")
-        self.found.append(LeftInDrive(od.STATUSWORD, found, left))
+        self.found.append(LeftInDrive(STATUSWORD, found, left))
 
     def clear_targets(self) -> None:
         """Set target velocity and velocity offset to 0, which a former controller may have left.

@@ -13,6 +13,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices import process_data
 from rigctl.devices.process_data import CELL_TEMPERATURE, DRIVE_STATUS
+from rigctl.model.device_states import STATUSWORD
 
 MOST_ENTRIES = 64
 """Objects in a PDO, CiA 301; a larger count marks a multiplexed one, which we do not use."""
@@ -25,7 +26,7 @@ _INPUTS = {
     od.OUTPUT_POLARITY_8: "B", od.OUTPUT_ERROR_MODE_8: "B", od.OUTPUT_ERROR_VALUE_8: "B",
 }  # fmt: skip
 _DRIVE = {
-    od.ABORT_CONNECTION_OPTION: "h", od.CONTROLWORD: "H", od.STATUSWORD: "H", od.QUICK_STOP_OPTION: "h",
+    od.ABORT_CONNECTION_OPTION: "h", od.CONTROLWORD: "H", STATUSWORD: "H", od.QUICK_STOP_OPTION: "h",
     od.SHUTDOWN_OPTION: "h", od.DISABLE_OPERATION_OPTION: "h", od.FAULT_REACTION_OPTION: "h",
     od.MODE_OF_OPERATION: "b", od.MODE_DISPLAY: "b", od.VELOCITY_ACTUAL: "i", od.MOTOR_RATED_CURRENT: "I",
     od.POLARITY: "B", od.QUICK_STOP_DECELERATION: "I", od.ENCODER_RESOLUTION: "I", od.GEAR_RATIO: "I",
@@ -145,7 +146,7 @@ def _add_inputs(table: _DeviceObjects, settings: RigSettings) -> None:
 
 def _add_drive(table: _DeviceObjects, settings: RigSettings) -> None:
     cylinder = settings.cylinder
-    for index in (od.CONTROLWORD, od.STATUSWORD, od.MODE_OF_OPERATION):
+    for index in (od.CONTROLWORD, STATUSWORD, od.MODE_OF_OPERATION):
         table.require(index)
     if cylinder.lead_mm is None and cylinder.increments_per_mm is None:
         table.require(od.SI_UNIT_POSITION)

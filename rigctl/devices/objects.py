@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
 from rigctl.config.canopen import *
+from rigctl.model.device_states import STATUSWORD, DriveState
 
 # -- CiA 301: objects -------------------------------------------------------------------------------------------
 DEVICE_TYPE = 0x1000
@@ -31,16 +32,6 @@ TPDO1_COMMUNICATION = 0x1800  # :02 transmission type = every n-th SYNC; :03 inh
 TPDO1_MAPPING = 0x1A00
 TPDO2_COMMUNICATION = 0x1801
 TPDO2_MAPPING = 0x1A01
-
-
-class NmtState(IntEnum):
-    """State byte of a heartbeat, CiA 301."""
-
-    BOOT_UP = 0x00
-    STOPPED = 0x04
-    OPERATIONAL = 0x05
-    PRE_OPERATIONAL = 0x7F
-
 
 NMT_START = 0x01  # command: the node enters OPERATIONAL
 NMT_STOP = 0x02  # command: the node enters STOPPED; a drive that is enabled then does as 0x6007 says
@@ -101,7 +92,6 @@ EVENT_DRIVEN = 255  # transmission type of the device profile: here on a change 
 DEVICE_TYPE_402 = 0x00020192  # servo drive of profile 402
 ABORT_CONNECTION_OPTION = 0x6007
 CONTROLWORD = 0x6040
-STATUSWORD = 0x6041
 QUICK_STOP_OPTION = 0x605A
 SHUTDOWN_OPTION = 0x605B
 DISABLE_OPERATION_OPTION = 0x605C
@@ -164,19 +154,6 @@ class Controlword(IntEnum):
     SWITCH_ON = 0x07
     ENABLE_OPERATION = 0x0F
     FAULT_RESET = 0x80
-
-
-class DriveState(IntEnum):
-    """CiA 402 power drive states; each value is the statusword under ``DRIVE_STATE_MASK``."""
-
-    NOT_READY = 0x00
-    SWITCH_ON_DISABLED = 0x40
-    READY_TO_SWITCH_ON = 0x21
-    SWITCHED_ON = 0x23
-    OPERATION_ENABLED = 0x27
-    QUICK_STOP_ACTIVE = 0x07
-    FAULT_REACTION_ACTIVE = 0x0F
-    FAULT = 0x08
 
 
 OFF_STATES = frozenset({DriveState.READY_TO_SWITCH_ON, DriveState.SWITCH_ON_DISABLED})

@@ -16,6 +16,7 @@ from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
+from rigctl.model.device_states import STATUSWORD
 
 COMMAND = "command"
 DRIVE_SPEED, DRIVE_STATUS = "cylinder_speed", "cylinder_status"
@@ -85,7 +86,7 @@ def wanted(settings: RigSettings) -> ProcessData:
             frames[DRIVE_ENABLE] = od.outputs_rpdo(settings.io.enable_block)
     speed = ((cylinder.velocity_object, 0, "i" if cylinder.velocity_object == od.VELOCITY_ACTUAL else "h"),)
     split = cylinder.velocity_pdo != cylinder.position_pdo
-    place = ((od.STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i"))
+    place = ((STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i"))
     frames["cylinder"] = PdoLayout(od.tpdo_base(cylinder.position_pdo), place if split else place + speed)
     if split:
         frames[DRIVE_SPEED] = PdoLayout(od.tpdo_base(cylinder.velocity_pdo), speed)

@@ -12,14 +12,16 @@ from typing import TypeVar
 
 import canopen
 
-from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
-from rigctl.devices import eds_file, emergency
+from rigctl.devices import eds_file
 from rigctl.devices import objects as od
 from rigctl.devices.eds_file import EdsError, EdsObject
 from rigctl.devices.needed_objects import MOST_ENTRIES
 from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
+from rigctl.model import emergency
+from rigctl.model.device_states import NmtState
+from rigctl.model.quantity import count
 
 logging.getLogger("canopen").addHandler(logging.NullHandler())  # our errors say the same, with the device
 TRIES = 3
@@ -225,7 +227,7 @@ class RemoteNode:
         return found
 
     @property
-    def reported(self) -> od.NmtState | None:
+    def reported(self) -> NmtState | None:
         """NMT state in the device's newest heartbeat; None: none has come."""
         return self._bus.reported.get(self.id)
 
@@ -290,7 +292,7 @@ class RemoteNode:
         """Send "reset communication"; whether the boot-up message comes."""
         self._bus.reported.pop(self.id, None)
         self.remote.nmt.state = "RESET COMMUNICATION"
-        return self._bus.hear(lambda: self.reported is od.NmtState.BOOT_UP, self._bus.until_ns(_BOOT_S))
+        return self._bus.hear(lambda: self.reported is NmtState.BOOT_UP, self._bus.until_ns(_BOOT_S))
 
     def identity(self, profile: int) -> Device:
         """Identity of the device, which must be of this CiA profile."""

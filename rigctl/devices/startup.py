@@ -35,6 +35,7 @@ from rigctl.devices.process_data import (
 from rigctl.devices.remote_node import Device, RemoteNode, StartupError, StopSetting
 from rigctl.devices.sdo import Watched
 from rigctl.devices.startup_bus import StartupBus
+from rigctl.model.device_states import NmtState
 
 __all__ = ["DEVICE_HEARTBEAT_MS", "Device", "StartupError", "bring_up", "refuse_rival", "release"]
 
@@ -219,7 +220,7 @@ def _start(bus: StartupBus, nodes: Iterable[RemoteNode], say: Callable[[str], No
     nodes = list(nodes)
 
     def waiting() -> list[RemoteNode]:
-        return [node for node in nodes if node.reported is not od.NmtState.OPERATIONAL]
+        return [node for node in nodes if node.reported is not NmtState.OPERATIONAL]
 
     bus.reported.clear()
     bus.waits(_HEARTBEATS)

@@ -16,7 +16,8 @@ from canopen.sdo import SdoClient, SdoCommunicationError
 
 from rigctl.devices import sdo
 from rigctl.devices.frame_kind import OWN_KIND, kind_of
-from rigctl.devices.objects import HEARTBEAT_BASE, NmtState
+from rigctl.devices.objects import HEARTBEAT_BASE
+from rigctl.model.device_states import NmtState
 
 _QUEUE_IS_FULL = frozenset({None, errno.ENOBUFS, errno.EAGAIN})  # None: python-can's own "Transmit buffer full"
 _FULL_S = 1.0

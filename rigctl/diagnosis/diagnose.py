@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.control.events import Kind, fault_text
 from rigctl.diagnosis.residuals import Residuals, residuals
 from rigctl.diagnosis.table import TABLE
 from rigctl.diagnosis.window import TripWindow
+from rigctl.model.events import Kind
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, lasting
 from rigctl.model.parts import Part
 

@@ -14,13 +14,13 @@ import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.drive_power import CURRENT_SHARE
-from rigctl.control.escalation import Symptom
-from rigctl.control.events import Kind
-from rigctl.devices import emergency
-from rigctl.devices.objects import NmtState
 from rigctl.diagnosis.window import TripWindow
 from rigctl.ipc.record import Flag
+from rigctl.model import emergency
+from rigctl.model.device_states import NmtState
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, Trait
+from rigctl.model.reactions import Symptom
 from rigctl.model.states import HeldBy, Mode
 
 Floats = npt.NDArray[np.float64]

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
+from rigctl.model.events import Kind
 
 BEFORE_NS, AFTER_NS = 2_500_000_000, 1_200_000_000
 """Records from this long before the trip until this long after it; what comes later is the rig's reaction."""
@@ -18,7 +18,7 @@ _BEGINS, _ENDS = (Kind.TRIP, Kind.EXCEPTION), (Kind.RESET, Kind.STARTED, Kind.ST
 
 
 class Noted(NamedTuple):
-    """An event of the loop; see `rigctl.control.events.Kind` for the meaning of its numbers."""
+    """An event of the loop; see `rigctl.model.events.Kind` for the meaning of its numbers."""
 
     t_ns: int
     kind: int

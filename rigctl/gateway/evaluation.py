@@ -27,12 +27,12 @@ from rigctl.commission.sensitivity_check import SensitivityDifference, differenc
 from rigctl.config.settings import RigSettings
 from rigctl.control import frequency_trial, margin_probe
 from rigctl.control.estimator import filter_model
-from rigctl.control.events import Unmeasured
 from rigctl.control.multisine import Multisine
 from rigctl.control.tension import Gains
 from rigctl.ipc.calculation import calculate
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.model.states import Mode
+from rigctl.model.unmeasured import Unmeasured
 
 SAME_MM_S = 1e-9  # one period's multisine is the next one's, to rounding
 VAGUE = 0.2  # a sensitivity peak less certain than that says nothing of a limit

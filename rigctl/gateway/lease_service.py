@@ -11,12 +11,12 @@ from typing import Any
 
 import msgspec
 
-from rigctl.config.quantity import count
 from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc.notes import Note, worded
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.quantity import count
 from rigctl.wire.alarm_request import AlarmRequest
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.command_request import Request, RequestError, operator_of, refused

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.gateway.calibration_findings import creep_order, zero_order
 from rigctl.ipc import ledger
 from rigctl.ipc.correction import creep_text
 from rigctl.ipc.ledger import Entry, Standing, in_force
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from rigctl.model.verbs import Setting, SettingOrder
 
 InForce = tuple[float, float, str]

@@ -15,8 +15,8 @@ from typing import TypeVar
 import zenoh
 
 from rigctl.config.one_line import on_one_line
-from rigctl.config.quantity import count
 from rigctl.ipc.notes import Note
+from rigctl.model.quantity import count
 
 FILTER = (
     "off,zenoh_link_tls::unicast=warn,zenoh_transport::unicast::establishment::accept=debug,"

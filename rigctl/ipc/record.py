@@ -67,10 +67,6 @@ class Slot:
         return found
 
 
-NEVER_AGE_NS = 1 << 60
-"""A larger age means that no sample has come yet; messages and exports have null in its place."""
-
-
 class Quality(IntFlag):
     """Why a signal is not good; 0 is good."""
 
@@ -101,7 +97,7 @@ EVENT = Slot(
     "event",
     (
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
-        Field("kind", "H", "", "see rigctl.control.events.Kind"),
+        Field("kind", "H", "", "see rigctl.model.events.Kind"),
         Field("a", "I", "", "meaning depends on kind"),
         Field("b", "I", "", "meaning depends on kind"),
         Field("value", "d", "", "what was found"),
@@ -125,7 +121,7 @@ COMMAND = Slot(
         Field("length_mm", "d", "mm", "RELEASE: how far a slack rope is paid out; 0 or NaN: a ramp to slack"),
         Field("move", "d", "", "MOVE: its number, 0 the move under way has ended"),
         Field("carry_s", "d", "s", "CARRY: how long the motor carries before it lowers the load"),
-        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.control.situation.Witness"),
+        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.model.states.Witness"),
         Field("zero_n", "d", "N", "ZERO: reading of the unloaded cell"),
         Field("scale", "d", "", "SCALE: factor of the cell's reading"),
         Field("overdue", "d", "", "OVERDUE, SCALE: 1 the calibration is overdue, 0 it is not"),

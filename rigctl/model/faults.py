@@ -65,8 +65,8 @@ class FaultRow(NamedTuple):
     """A fault of the catalogue, and all that is said of it.
 
     ``words``: the cause in one line, a template of ``value``, ``limit`` and the names that
-    `rigctl.control.events.fault_text` fills in. ``meaning``: the condition, for docs/operate.md. ``remedy``: what the
-    operator does about it. ``part``: where the operator looks first, as long as no sign of the diagnosis names a part.
+    `rigctl.model.fault_words.fault_text` fills in. ``meaning``: the condition, for docs/fault-list.md. ``remedy``: what
+    the operator does about it. ``part``: where the operator looks first, as long as no sign of the diagnosis names one.
     """
 
     number: int

@@ -13,6 +13,10 @@ CELL, INCLINOMETER, DRIVE, STATUS = "cell_age_ns", "inclination_age_ns", "drive_
 """Ages in the snapshot: of each device's newest sample, and of the drive's status (``cylinder.status_rate_hz``)."""
 
 
+NEVER_AGE_NS = 1 << 60
+"""A larger age means that no sample has come yet; messages and exports have null in its place."""
+
+
 class Reading(NamedTuple):
     """A signal as limits see it: ``factor`` times a field of the loop's snapshot, or the magnitude of that."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import IntEnum, StrEnum
+from enum import IntEnum, IntFlag, StrEnum
 
 
 class Mode(IntEnum):
@@ -36,6 +36,22 @@ class HeldBy(IntEnum):
     BRAKE = 3  # SBC, safe brake control: the drive is off, its brake closed, and the load is at rest
     TAKING = 4  # the drive is being switched on, the motor takes the load from the brake
     UNKNOWN = 5  # the drive does not report its state, or the load is not seen at rest on the closed brake
+
+    @property
+    def words(self) -> str:
+        """In the events."""
+        return _HELD_WORDS[self]
+
+
+_HELD_WORDS: dict[HeldBy, str] = {
+    HeldBy.NOTHING: "the motor moves the load",
+    HeldBy.MOTOR: "load held by the motor",
+    HeldBy.CLOSING: "the drive stops and closes its brake",
+    HeldBy.BRAKE: "load held by the brake, drive off",
+    HeldBy.TAKING: "the motor takes the load from the brake",
+    HeldBy.UNKNOWN: "not known what holds the load: the drive does not report, or the load is not seen at rest on the "
+    "closed brake",
+}
 
 
 class DrivePower(StrEnum):
@@ -127,3 +143,54 @@ class Event(IntEnum):
     UNTESTED = 13  # ramp over on a brake that is known not to hold: it is to be tested first
     PAY_OUT = 14  # a slack rope is made longer
     RAMP_ENDS = 15  # of a ramp to slack with a fault latched: slack, a hold, or the process is to end
+
+    @property
+    def words(self) -> str:
+        """In the events."""
+        return _EVENT_WORDS[self]
+
+
+_EVENT_WORDS: dict[Event, str] = {
+    Event.ENABLED: "drive enabled",
+    Event.TENSION: "tension commanded",
+    Event.TENSIONED: "target reached",
+    Event.RELEASE: "release commanded",
+    Event.SLACK: "rope slack",
+    Event.HOLD: "hold commanded",
+    Event.DISARM: "disarm commanded",
+    Event.TRIP: "trip",
+    Event.RESET_HELD: "reset, armed before",
+    Event.RESET_OFF: "reset, not armed before",
+    Event.STOP: "daemon stopping",
+    Event.RAMP_DOWN: "ramp down",
+    Event.UNTESTED: "target reached; rigctl brake-test comes first, the brake is known not to hold",
+    Event.PAY_OUT: "release of a slack rope commanded",
+    Event.RAMP_ENDS: "the ramp to slack has ended, the fault is still latched",
+    Event.LOWER: "the motor lowers the load, the brake does not hold it",
+}
+
+
+class Witness(IntEnum):
+    """What shows the motion of a load that the motor carries because its brake does not hold it."""
+
+    BOTH = 0  # encoder and cell agree, or an operator has named neither
+    ENCODER = 1
+    CELL = 2
+
+
+class EndStep(IntEnum):
+    """How far an end is that the load delays; the number is in the record of the event."""
+
+    WAITS = 1
+    LOWERS = 2
+    LOWERED = 3
+    LEFT = 4  # by a second request
+    GONE = 5  # the motor has the load no more, and the rope is not known to be slack
+    LATE = 6  # the rope is not slack in time
+
+
+class EStop(IntFlag):
+    """Inputs on which the emergency stop reads as pressed; the value of its trip."""
+
+    DRIVE = 1
+    IO_NODE = 2

@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import NamedTuple
 
+from rigctl.model.states import Mode
+
 
 class Verb(IntEnum):
     """Commands an operator may give."""
@@ -62,6 +64,23 @@ VALUES: dict[int, tuple[str, ...]] = {
     Setting.CREEP: ("creep_1", "creep_1_s", "creep_2", "creep_2_s", "creep_held_s"),
 }
 """Fields of a ``COMMAND`` slot that a command or setting uses, beside time and id."""
+
+
+CARRY_S = 1.0, 3600.0
+"""Shortest and longest time of a CARRY."""
+STROKE_SPARE_MM = 2.0
+"""A RELEASE of a length leaves the cylinder so far from its end."""
+STROKE_TOLERANCE_MM = 0.5
+"""The drive's position is the stroke that was last known, or that an operator has measured, within this."""
+OFF_LIMIT_NS = 3_000_000_000
+"""Time a drive has to stop, to close its brake and to go off after a DISARM."""
+TRIED_IN = {
+    Verb.TARE: (Mode.DISARMED, Mode.HOLD),
+    Verb.CALIBRATE: (Mode.DISARMED, Mode.HOLD),
+    Verb.IDENTIFY: (Mode.HOLD,),
+    Verb.RESPONSE: (Mode.HOLD, Mode.COMPENSATING),
+}
+"""Commands that measure first and answer at their end, with the modes in which they do."""
 
 
 class SettingOrder(NamedTuple):

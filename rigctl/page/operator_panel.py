@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rigctl.config import quantity
-from rigctl.config.quantity import number
+from rigctl.model import quantity
+from rigctl.model.quantity import number
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarms import Alarm
 from rigctl.wire.operator_view import view

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from rigctl.config.quantity import number, significant
-from rigctl.control.modes import CARRY_S
+from rigctl.model.quantity import number, significant
+from rigctl.model.verbs import CARRY_S
 from rigctl.wire.offers import PAY_OUT, bounds_of
 from rigctl.wire.typed_values import LENGTH, SECONDS, SHELF_MINUTES, TARGET
 

@@ -9,7 +9,8 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.ipc.record import NEVER_AGE_NS, Slot
+from rigctl.ipc.record import Slot
+from rigctl.model.signals import NEVER_AGE_NS
 from rigctl.recorder.enums import Names, enum_of
 from rigctl.recorder.recording import SLOTS, Recording, Said
 

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Chunk
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 
 MAGIC = b"\x89MCAP0\r\n"
 READ = frozenset({Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.SCHEMA, Opcode.CHANNEL})

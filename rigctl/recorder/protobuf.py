@@ -14,8 +14,8 @@ import numpy.typing as npt
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from google.protobuf.message import DecodeError
 
-from rigctl.config.quantity import count
 from rigctl.ipc.record import Slot
+from rigctl.model.quantity import count
 from rigctl.recorder.enums import enum_of
 
 WIRE_VARINT, WIRE_64, WIRE_BYTES, WIRE_32 = 0, 1, 2, 5

@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.config import quantity
-from rigctl.config.quantity import significant
-from rigctl.control.events import Kind, failed_checks
-from rigctl.control.safety import Action
 from rigctl.ipc import supervision
 from rigctl.ipc.notes import note_message
 from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model import quantity
+from rigctl.model.check_words import failed_checks
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.quantity import significant
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 from rigctl.recorder.audit_log import Item

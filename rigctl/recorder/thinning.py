@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Any
 
-from rigctl.config import quantity
 from rigctl.ipc.record import HOLD_ID
+from rigctl.model import quantity
 from rigctl.model.verbs import Verb
 from rigctl.recorder.audit_log import Item
 

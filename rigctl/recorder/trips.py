@@ -19,13 +19,13 @@ import numpy.typing as npt
 
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.diagnosis.diagnose import diagnose
 from rigctl.diagnosis.window import around, noted
 from rigctl.diagnosis.window import trips as first_trips
 from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Event, Mode
 from rigctl.recorder import part_seal, parts

@@ -17,7 +17,6 @@ from rigctl.config.strict_yaml import Document
 from rigctl.config.wording import Wording
 from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.cell_correction import CellHistory
-from rigctl.control.events import Kind
 from rigctl.control.hold_sockets import GivenHolds
 from rigctl.control.homed import LastStroke
 from rigctl.control.logbook import Rings
@@ -30,6 +29,7 @@ from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.memory_folder import memory_folder
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.recorder.recording import SLOTS, Recording
 from rigctl.replay.feed import BATCH_TICKS, RecordedBus, RecordedClock, Slots, Tick, ticks
 

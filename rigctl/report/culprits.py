@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.diagnosis.diagnose import Culprit, diagnose
 from rigctl.diagnosis.window import Noted, around, trips
+from rigctl.model.events import Kind
 from rigctl.recorder.recording import Recording, Said
 
 

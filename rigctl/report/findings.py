@@ -12,7 +12,6 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import ValidationError
 
-from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.ipc.ledger import IN_FORCE, Standing
@@ -20,6 +19,7 @@ from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.metrics import timing
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, statistics
 from rigctl.metrics.phases import SETTLE_S, JudgedPhase, phases
+from rigctl.model.quantity import count
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recording import Recording
 from rigctl.report import bus, culprits, happenings, sensor_budget, spectrum, verdict

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import yaml
 
-from rigctl.config.quantity import unit_of
 from rigctl.metrics.error_statistics import ErrorStatistics
 from rigctl.metrics.tension_error import PERCENTILES
+from rigctl.model.quantity import unit_of
 from rigctl.report import sensor_budget
 from rigctl.report.findings import Findings
 

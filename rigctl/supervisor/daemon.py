@@ -32,7 +32,7 @@ from rigctl.config.telemetry_section import open_listen
 from rigctl.control import ending, last_stroke
 from rigctl.control.tension import Gains
 from rigctl.devices import busload
-from rigctl.devices.objects import DriveState, drive_state
+from rigctl.devices.objects import drive_state
 from rigctl.ipc import ledger, public_slot
 from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
@@ -45,6 +45,7 @@ from rigctl.ipc.service_manager import notify, unnotified
 from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
+from rigctl.model.device_states import DriveState
 from rigctl.model.states import Mode
 from rigctl.supervisor import memory
 from rigctl.supervisor.event_lines import EventLines

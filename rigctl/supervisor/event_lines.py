@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rigctl.control.events import Kind, worded
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import EACH_SECOND
 
 AGAIN_NS = 60_000_000_000

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 from typing import Any
 
-from rigctl.config.quantity import Number
-from rigctl.ipc.record import NEVER_AGE_NS
 from rigctl.model.faults import EACH_SECOND, Fault, Trait, lasting
-from rigctl.model.signals import WATCHED
+from rigctl.model.quantity import Number
+from rigctl.model.reactions import Action
+from rigctl.model.signals import NEVER_AGE_NS, WATCHED
 from rigctl.wire.trust import explained
 
 ROWS = 256
@@ -40,7 +40,6 @@ _OF_GATEWAY = frozenset({ENDPOINT_TAKEN, "RECORDER_ENDED", "GATEWAY_ENDED"})
 """Causes that a restart of the loop does not end."""
 AUDIT_LOG_CHANGED = "AUDIT_LOG_CHANGED"
 _LOG_REMEDY = "Keep what is left of the file; rigctl audit verify shows where its chain breaks. Find who did it."
-_POWER_GOES_OFF = 3  # from this `rigctl.control.safety.Action` on
 
 
 class Priority(IntEnum):
@@ -202,7 +201,7 @@ def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
         text = lasting(text.removeprefix(prefix))
     action = event.get("b")
     priority = Priority.LOW if kind == "LIMIT" else Priority.HIGH
-    if kind == "ESCALATION" or (isinstance(action, int) and action >= _POWER_GOES_OFF):
+    if kind == "ESCALATION" or (isinstance(action, int) and action >= Action.QUICK_STOP):
         priority = Priority.URGENT
     value, limit = ("" if kind == "ESCALATION" else figure(fault, name, event.get(name), about)
                     for name in ("value", "limit"))  # fmt: skip

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.control.events import Kind, Worded, worded
+from rigctl.model.events import Kind, Worded, worded
 
 
 def event_message(event: np.void, wall_offset_ns: int) -> tuple[str, dict[str, Any]]:

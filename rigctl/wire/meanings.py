@@ -5,8 +5,8 @@ A row of fields is name, type in JSON, unit ("" for none), meaning. ``number?`` 
 
 from __future__ import annotations
 
-from rigctl.control.events import Kind
 from rigctl.ipc.notes import Note
+from rigctl.model.events import Kind
 from rigctl.model.verbs import Verb
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import LeaseAct

@@ -11,14 +11,14 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-from rigctl.config.quantity import significant
-from rigctl.control.events import refusal_text
-from rigctl.control.modes import CARRY_S, answer, barring
+from rigctl.control.modes import answer, barring
 from rigctl.control.situation import Situation, of_slot
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
+from rigctl.model.quantity import significant
+from rigctl.model.refusal_words import refusal_text
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import CARRY_S, Refusal, Verb
 
 BUTTONS = (
     Verb.RELEASE, Verb.DISARM, Verb.RESET, Verb.ARM, Verb.TENSION, Verb.TARGET, Verb.CARRY, Verb.LOWER,

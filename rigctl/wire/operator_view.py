@@ -7,10 +7,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.config.quantity import count, number
 from rigctl.diagnosis.table import suspects
 from rigctl.model.faults import Fault, Trait, having
 from rigctl.model.parts import Part
+from rigctl.model.quantity import count, number
 from rigctl.model.states import PowerOff
 from rigctl.model.verbs import Refusal
 from rigctl.wire.alarms import Alarm, figure, follows

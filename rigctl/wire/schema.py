@@ -6,13 +6,13 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from rigctl.control.events import Kind
 from rigctl.control.gate import Verdict
-from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, Flag, Quality
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire import block

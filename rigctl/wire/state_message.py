@@ -12,15 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.drive_power import drive_shown
-from rigctl.control.events import Kind, failed_checks, fault_text, setting_words, stroke_words
-from rigctl.control.safety import Action, Row
+from rigctl.control.safety import Row
 from rigctl.diagnosis.diagnose import Culprit
-from rigctl.ipc.record import NEVER_AGE_NS, Flag
+from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us
+from rigctl.model.check_words import failed_checks, setting_words, stroke_words
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, faults_of, lasting
 from rigctl.model.parts import Part
+from rigctl.model.reactions import Action
+from rigctl.model.signals import NEVER_AGE_NS
 from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.wire.meanings import Rows
 from rigctl.wire.record_names import ALIVE_NS, named, quality_words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.config import quantity
+from rigctl.model import quantity
 from rigctl.model.states import DrivePower, LoadAtRest, PowerOff
 from rigctl.wire.alarms import without_steps
 from rigctl.wire.trust import DEVICE_OF, doubts, explained

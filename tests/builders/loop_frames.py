@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from hil.lockstep import Lockstep
-from rigctl.control.events import Kind, Worded, worded
-from rigctl.control.safety import Action
 from rigctl.devices import objects as od
+from rigctl.model.events import Kind, Worded, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 
 

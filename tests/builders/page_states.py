@@ -16,11 +16,12 @@ import numpy as np
 import uvicorn
 
 from rigctl.config.address import Address
-from rigctl.control.events import Kind, fault_text, worded
-from rigctl.control.safety import Action
 from rigctl.ipc.record import RECORD
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind, worded
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, bits_of
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode, PowerOff
 from rigctl.page.guard import Guard
 from rigctl.page.page_commands import PageCommands

@@ -13,7 +13,8 @@ from hil.wire import FRAME
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState, drive_state
+from rigctl.devices.objects import Controlword, drive_state
+from rigctl.model.device_states import STATUSWORD, DriveState
 from tests.builders.paths import ROOT
 
 REPOSITORY = ROOT
@@ -102,7 +103,7 @@ class RigBench:
 
     def state(self) -> DriveState:
         """State of the drive, as a controller reads it."""
-        return drive_state(self.read(self.rig.drive.id, objects.STATUSWORD))
+        return drive_state(self.read(self.rig.drive.id, STATUSWORD))
 
     def sent(self, can_id: int) -> list[bytes]:
         return [data for found, data in self.frames if found == can_id]

@@ -19,11 +19,12 @@ from rigctl.control.clock import SimulatedClock
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.modes import command_slot
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.devices.objects import Controlword, NmtState
+from rigctl.devices.objects import Controlword
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.device_states import NmtState
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Setting, Verb
 

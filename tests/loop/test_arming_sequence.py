@@ -11,12 +11,12 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
 from rigctl.control import arming, power_seen
-from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import OFF_STATES, Controlword
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

@@ -13,11 +13,11 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.cli import status
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action
 from rigctl.control.stage import KEPT_NS
 from rigctl.control.tension import Gains
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.operator_panel import answers, devices

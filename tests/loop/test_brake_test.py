@@ -14,11 +14,12 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Trip
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started

@@ -12,7 +12,7 @@ import pytest
 from hil.faults import on_bus
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
-from rigctl.control.events import Kind, worded
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

@@ -16,13 +16,13 @@ from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.cli import status
 from rigctl.commission.preflight import PreflightVerdict
-from rigctl.control.events import Kind, worded
 from rigctl.devices import objects
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import past_messages
 from rigctl.ipc.ledger import Standing
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

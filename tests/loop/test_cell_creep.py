@@ -11,13 +11,13 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.commission.load_record import bins_of
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.tension import Gains
 from rigctl.control.trials import CREEP_BINS
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.ipc.correction import Correction, CreepTerm
 from rigctl.ipc.ledger import Standing
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb

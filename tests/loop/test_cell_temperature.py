@@ -10,12 +10,12 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import Measured
 from rigctl.ipc.ledger import Standing
+from rigctl.model.events import Kind
 from rigctl.model.verbs import Refusal, Setting, Verb
 from rigctl.wire.command_request import Request
 from tests.builders.rig_bench import changed

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import assert_held, events, frame, nmt, stop_node

@@ -12,11 +12,11 @@ from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.rig_bench import changed

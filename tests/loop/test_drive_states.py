@@ -21,13 +21,14 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
 from rigctl.control.machine import SUPERVISED_NS
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.devices.objects import DriveState, NmtState, drive_state
+from rigctl.devices.objects import drive_state
 from rigctl.devices.remote_node import StartupError
 from rigctl.model.checks import Check
+from rigctl.model.device_states import STATUSWORD, DriveState, NmtState
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
@@ -132,7 +133,7 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
     before_mm, found.sent[:] = found.rig.truth.stroke_mm, []
     started, target = drive.control.state, drive._target
     report = found.bring_up()
-    named = [item for item in report.found if item.object_index == od.STATUSWORD]
+    named = [item for item in report.found if item.object_index == STATUSWORD]
     assert [item.value for item in named] == ([started] if left is not in_a_fault_reaction else [])
     assert all(DriveState(item.left) in NOT_POWERED for item in named)
     assert [item for item in report.found if item.object_index == od.TARGET_VELOCITY] == (
@@ -150,7 +151,7 @@ def test_a_drive_that_is_found_powered_is_off_before_it_is_configured(
 
 def arms(rig: Lockstep) -> None:
     """Arm a rig that is DISARMED, whose drive may have missed the commands of a loop that has ended."""
-    if od.drive_state(int(rig.record["statusword"])) in (od.DriveState.FAULT, od.DriveState.FAULT_REACTION_ACTIVE):
+    if od.drive_state(int(rig.record["statusword"])) in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
         assert rig.command(Verb.RESET) is Refusal.NONE
     if rig.loop.machine.mode is Mode.DISARMED:
         assert rig.command(Verb.ARM) is Refusal.NONE

@@ -12,12 +12,13 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.safety import STATUS_PERIODS, Action
+from rigctl.control.safety import STATUS_PERIODS
 from rigctl.control.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.signals import STATUS, WATCHED
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb

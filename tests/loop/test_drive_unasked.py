@@ -10,13 +10,14 @@ from hil.lockstep import Lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
-from rigctl.control.events import Kind, worded
 from rigctl.control.modes import command_slot
-from rigctl.control.safety import Action
 from rigctl.devices import objects
 from rigctl.ipc.record import Flag
 from rigctl.model.checks import Check
+from rigctl.model.device_states import STATUSWORD, DriveState, NmtState
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
@@ -36,7 +37,7 @@ def trips(rig: Lockstep) -> list[str]:
 
 
 def status_bit(rig: Lockstep, bit: int, *, on: bool) -> None:
-    rig.rig.drive.distort(objects.STATUSWORD, 0, lambda raw: raw | bit if on else raw & ~bit)
+    rig.rig.drive.distort(STATUSWORD, 0, lambda raw: raw | bit if on else raw & ~bit)
 
 
 # -- another master's drive --------------------------------------------------------------------------------------
@@ -98,15 +99,15 @@ def test_an_arm_that_is_called_off_leaves_no_stranger(rig: Lockstep, ticks: int)
 
 @pytest.mark.starts_in(Mode.HOLD)
 def test_a_drive_that_stays_enabled_when_told_to_go_off_trips(rig: Lockstep) -> None:
-    enabled = int(objects.DriveState.OPERATION_ENABLED) | objects.STATUS_REMOTE | objects.STATUS_FOLLOWS
-    rig.rig.drive.distort(objects.STATUSWORD, 0, lambda _: enabled)
+    enabled = int(DriveState.OPERATION_ENABLED) | objects.STATUS_REMOTE | objects.STATUS_FOLLOWS
+    rig.rig.drive.distort(STATUSWORD, 0, lambda _: enabled)
     id_ = rig.give(Verb.DISARM)
     rig.run(0.9)
     assert rig.loop.machine.fault is Fault.NONE
     rig.run(0.3)
     assert rig.loop.machine.fault is Fault.DRIVE_UNASKED
     assert rig.answer(id_) is Refusal.OFF_UNSEEN, "the answer states the effect that was seen, or that it was not"
-    assert objects.drive_state(int(rig.reply["drive_state"])) is objects.DriveState.OPERATION_ENABLED
+    assert objects.drive_state(int(rig.reply["drive_state"])) is DriveState.OPERATION_ENABLED
 
 
 # -- statusword --------------------------------------------------------------------------------------------------
@@ -184,7 +185,7 @@ def test_a_heartbeat_that_stops_while_samples_go_on_is_a_fault(rig: Lockstep, no
 @pytest.mark.starts_in(Mode.HOLD)
 def test_a_heartbeat_that_says_pre_operational_is_a_fault_at_once(rig: Lockstep, node: int) -> None:
     rig.events.read()
-    rig.inject(FRAME.pack(objects.HEARTBEAT_BASE + node, 1, bytes([objects.NmtState.PRE_OPERATIONAL])))
+    rig.inject(FRAME.pack(objects.HEARTBEAT_BASE + node, 1, bytes([NmtState.PRE_OPERATIONAL])))
     rig.run(0.005)
     assert rig.loop.machine.fault is Fault.NODE_NOT_OPERATIONAL
     (said,) = trips(rig)

@@ -8,8 +8,8 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.control.events import Kind, worded
 from rigctl.devices import objects
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

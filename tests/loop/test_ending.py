@@ -14,12 +14,11 @@ from hil.faults.in_device import CELL, brake_slips, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.ending import TOGETHER_NS, WAITS_NS, EndStep
-from rigctl.control.events import Kind
-from rigctl.control.situation import Witness
+from rigctl.control.ending import TOGETHER_NS, WAITS_NS
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
-from rigctl.model.states import Event, Mode
+from rigctl.model.events import Kind
+from rigctl.model.states import EndStep, Event, Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.trips import triggers
 from tests.builders.branches import Started

@@ -11,15 +11,15 @@ from hil.faults.in_device import STROKE
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
-from rigctl.control.homed import TOLERANCE_MM, LastStroke
-from rigctl.control.safety import Action
+from rigctl.control.homed import LastStroke
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import Flag
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import STROKE_TOLERANCE_MM, Refusal, Verb
 from tests.builders.loop_frames import latched
 
 JUMP_UM = 52_000
@@ -69,7 +69,7 @@ def test_a_stroke_that_is_not_the_last_known_is_refused_until_it_is_confirmed(
     (told,) = strokes(rig)
     assert told.startswith(f"the stroke reads 0.00 mm, but {last.why or f'{last.mm:.2f} mm when last known'}: measure")
     assert rig.command(Verb.CONFIRM_STROKE, 52.0) is Refusal.STROKE_DIFFERS
-    assert rig.command(Verb.CONFIRM_STROKE, TOLERANCE_MM + 0.1) is Refusal.STROKE_DIFFERS
+    assert rig.command(Verb.CONFIRM_STROKE, STROKE_TOLERANCE_MM + 0.1) is Refusal.STROKE_DIFFERS
     assert rig.command(Verb.ARM) is Refusal.PREFLIGHT
     assert all(record["flags"] & Flag.STROKE_UNCONFIRMED for record in rig.run(0.01))
     assert rig.command(Verb.CONFIRM_STROKE, 0.2) is Refusal.NONE

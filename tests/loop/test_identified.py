@@ -15,11 +15,11 @@ from hil.lockstep import Lockstep, lockstep
 from hil.studies.compare.measured_ms import measured
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.gain_table import ScheduledGains
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
+from rigctl.model.events import Kind
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders import daemons

@@ -13,15 +13,14 @@ from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action
-from rigctl.control.snapshot import EStop
 from rigctl.control.tension import Gains
 from rigctl.devices import objects, startup
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.signals import STATUS, WATCHED
-from rigctl.model.states import Mode
+from rigctl.model.states import EStop, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
 

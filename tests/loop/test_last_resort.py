@@ -15,12 +15,13 @@ from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.control.escalation import ANSWER_NS, BLIND_MM
-from rigctl.control.events import worded
 from rigctl.control.outbox import CUTS, NMT_STOPS
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
+from rigctl.model.device_states import NmtState
+from rigctl.model.events import worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
@@ -348,7 +349,7 @@ def test_reset_brings_all_devices_up_again_and_the_rig_works(rig: Lockstep) -> N
     assert silent.finished
     assert rig.loop.machine.mode is Mode.DISARMED
     assert braked(rig)
-    assert rig.rig.drive.nmt_state is od.NmtState.OPERATIONAL
+    assert rig.rig.drive.nmt_state is NmtState.OPERATIONAL
     assert rig.command(Verb.RESET) is Refusal.NONE, "the drive's own fault is cleared"
     rig.run(0.5)
     assert rig.command(Verb.ARM) is Refusal.NONE

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
 from rigctl.control.hold_sockets import Hold
 from rigctl.control.modes import command_slot
 from rigctl.control.tension import Gains
 from rigctl.ipc.record import HOLD_ID
+from rigctl.model.events import Kind, worded
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
 

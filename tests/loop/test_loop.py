@@ -11,13 +11,14 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.metrics import tension_error as metrics
 from rigctl.model.checks import Check
+from rigctl.model.device_states import DriveState
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
 from tests.builders.loop_changes import LoopStep, failing, leave_unexplained
@@ -37,7 +38,7 @@ def test_it_tensions_holds_releases_and_ends_slack(rig: Lockstep) -> None:
     assert rig.command(Verb.DISARM) is Refusal.NONE
     rig.run(0.3)
     records = rig.run(0.1)
-    assert od.drive_state(int(records["statusword"][-1])) is not od.DriveState.OPERATION_ENABLED
+    assert od.drive_state(int(records["statusword"][-1])) is not DriveState.OPERATION_ENABLED
 
 
 def test_a_slack_rope_shows_no_run_out_no_stretch_and_good_samples(rig: Lockstep) -> None:
@@ -250,7 +251,7 @@ def test_stopping_in_the_closed_loop_ends_in_hold_with_the_brake_closed(rig: Loc
             break
     assert rig.loop.finished
     assert rig.loop.machine.mode == Mode.HOLD
-    assert od.drive_state(rig.loop.inbox.drive.statusword) is not od.DriveState.OPERATION_ENABLED
+    assert od.drive_state(rig.loop.inbox.drive.statusword) is not DriveState.OPERATION_ENABLED
     for _ in range(500):
         rig.clock.next_tick()
     assert rig.rig.truth.stroke_mm == pytest.approx(before.stroke_mm, abs=0.1)

@@ -13,12 +13,13 @@ from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control import limits
-from rigctl.control.events import Kind, Unmeasured, worded
 from rigctl.control.margin_probe import GROW_S, SETTLED_S, WINDOW_S, level, signal
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, margins
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
+from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Refusal, Setting, Verb
 from tests.builders.excited import built, tensioned
 from tests.builders.linear_plant import true_plant, true_sensitivities

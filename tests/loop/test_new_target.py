@@ -12,12 +12,12 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.margin_probe import GROW_S, SETTLED_S
 from rigctl.control.probe_plan import plan
-from rigctl.control.safety import Action
 from rigctl.control.sensor_probe import ProbeFinding
 from rigctl.control.tension import Gains
 from rigctl.control.unseen_travel import MOST_SHARE
 from rigctl.design.gains import design
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.excited import built

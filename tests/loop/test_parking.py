@@ -16,15 +16,15 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from rigctl.config.settings import RigSettings
 from rigctl.control import command_checks
-from rigctl.control.events import Kind
 from rigctl.control.load_at_rest import REST_NS
-from rigctl.control.safety import Action
 from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.control.tension import Gains
 from rigctl.control.trials import Average
 from rigctl.devices import objects
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
 from tests.builders.branches import Started

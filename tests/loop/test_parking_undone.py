@@ -16,10 +16,10 @@ from hil.studies.roll_back.study import SET
 from rigctl.config import rig_file, strict_yaml
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action
 from rigctl.control.tension import Gains
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started

@@ -10,12 +10,11 @@ from hil.faults.in_plant import rope_breaks
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.safety import STROKE_SPARE_MM
 from rigctl.control.tension import PAYS_OUT_MM_S, Gains
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import STROKE_SPARE_MM, Refusal, Verb
 
 LIMIT_S = 60.0
 LENGTH_MM = 20.0

@@ -14,12 +14,12 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.tension import Gains
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, Measured
 from rigctl.ipc.ledger import Standing
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

@@ -7,9 +7,9 @@ import itertools
 import pytest
 
 from hil.lockstep import Lockstep
-from rigctl.control.events import Kind
 from rigctl.control.stage import DRIVE_RESET_NS
-from rigctl.devices.objects import DriveState
+from rigctl.model.device_states import DriveState
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

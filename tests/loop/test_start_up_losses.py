@@ -18,6 +18,7 @@ from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects as od
 from rigctl.devices.remote_node import StartupError
+from rigctl.model.device_states import NmtState
 from tests.builders.rig_bench import changed
 from tests.builders.rig_on_hub import START_NS, RigOnHub
 
@@ -92,7 +93,7 @@ class Bench:
             why = str(error)
         finally:
             rig.hub.tap = None
-        running = all(node.nmt_state is od.NmtState.OPERATIONAL for node in rig.rig.nodes if node.id < 100)
+        running = all(node.nmt_state is NmtState.OPERATIONAL for node in rig.rig.nodes if node.id < 100)
         return Outcome(count[True], count[False], why, running, watched, list(rig.said))
 
 
@@ -166,7 +167,7 @@ def test_a_bus_without_acknowledgement_until_the_devices_boot_comes_up(settings:
     full = [line for line in rig.said if "send queue is full" in line]
     assert len(full) == 1, "said once, not for each frame"
     assert full[0].startswith(f"rigsim:{settings.can.channel}: ") and full[0].endswith("at most (can.boot_wait_s)")
-    assert all(node.nmt_state is od.NmtState.OPERATIONAL for node in rig.rig.nodes if node.id < 100)
+    assert all(node.nmt_state is NmtState.OPERATIONAL for node in rig.rig.nodes if node.id < 100)
 
 
 def test_one_that_stays_without_is_given_up_with_the_likely_cause(settings: RigSettings) -> None:

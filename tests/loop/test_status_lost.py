@@ -6,11 +6,12 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.control.events import Kind
-from rigctl.control.safety import STATUS_PERIODS, Action
+from rigctl.control.safety import STATUS_PERIODS
 from rigctl.devices import objects
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched

@@ -16,12 +16,12 @@ from hil.lockstep import Lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import worded
-from rigctl.control.safety import Action
 from rigctl.devices import busload, sdo
 from rigctl.devices import objects as od
 from rigctl.model.checks import Check
+from rigctl.model.events import worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

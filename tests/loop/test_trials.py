@@ -9,12 +9,12 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.modes import command_slot
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.correction import Correction
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb

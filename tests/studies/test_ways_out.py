@@ -23,14 +23,13 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import TESTED_SHARE, KeptBrake
 from rigctl.control.carried_load import LOWERS_MM_S
-from rigctl.control.events import Kind, worded
 from rigctl.control.modes import SUNK_MM
-from rigctl.control.situation import Witness
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.ipc.record import Flag
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
+from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 

@@ -15,15 +15,14 @@ import numpy.typing as npt
 from hil.faults.digests import name_map
 from hil.faults.lockstep_run import Run
 from hil.wire import FRAME
-from rigctl.control.ending import EndStep
-from rigctl.control.escalation import Symptom
-from rigctl.control.events import Kind, Unmeasured
 from rigctl.control.gate import Verdict
-from rigctl.control.safety import Action
 from rigctl.ipc.record import Flag, Quality
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.reactions import Action, Symptom
+from rigctl.model.states import EndStep, Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Refusal
 
 Digests = dict[str, dict[str, str]]

@@ -9,7 +9,7 @@ from hil.faults import in_controller, in_device, in_plant, on_bus
 from hil.faults.in_device import CELL, SPEED, STROKE, both, reads, stuck
 from hil.faults.stand import FaultPlace, Injector, Stand
 from rigctl.devices import objects
-from rigctl.devices.objects import DriveState
+from rigctl.model.device_states import DriveState
 from rigctl.model.parts import Part
 
 CELL_NOISE_N = 0.03

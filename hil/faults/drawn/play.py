@@ -21,10 +21,10 @@ from hil.faults.statements import false_statements
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.control.tension import Gains
 from rigctl.devices.remote_node import SilentError
 from rigctl.ipc.record import Flag
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 

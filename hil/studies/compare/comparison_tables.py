@@ -15,8 +15,8 @@ from hil.studies.compare.compared_runs import ComparedRun
 from hil.studies.compare.comparison import SETTLED_PCT, Comparison, LawResult, LimitVerdict
 from hil.studies.compare.law_robustness import Robustness
 from hil.studies.compare.rivals import OURS, PASSIVE
-from rigctl.config.quantity import count
 from rigctl.config.settings import RigSettings
+from rigctl.model.quantity import count
 from rigctl.report.sensor_budget import Error, budget, combined_n
 
 _Value = Callable[[LawResult], float | None]

@@ -15,7 +15,7 @@ from hil.studies.compare.compared_runs import ComparedRun
 from hil.studies.compare.equal_limits import EqualLimits
 from hil.studies.compare.random_rigs import ASSUMED, RigRow, summary
 from hil.studies.compare.rivals import LAWS, OURS
-from rigctl.config.quantity import count
+from rigctl.model.quantity import count
 
 Figure = Callable[[tuple[str, str]], float | None]
 """Of a run and law, by their names."""

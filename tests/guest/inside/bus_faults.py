@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from rigctl.devices.objects import DriveState
+from rigctl.model.device_states import DriveState
 from tests.builders.waiting import until
 from tests.guest.inside.guest_rig import TARGET_N, Cable, GuestRig, controller, link, patient
 

@@ -16,6 +16,7 @@ import canopen
 
 from rigctl.client.connection import Client, NoDaemonError
 from rigctl.devices import objects as od
+from rigctl.model.device_states import STATUSWORD, DriveState
 from tests.builders import daemons
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
@@ -128,8 +129,8 @@ class Truth:
         return self._read(od.SIMULATOR_NODE, od.SIM_TRUE_STROKE_UM) * 1e-3
 
     @property
-    def drive(self) -> od.DriveState:
-        return od.drive_state(self._read(4, od.STATUSWORD))
+    def drive(self) -> DriveState:
+        return od.drive_state(self._read(4, STATUSWORD))
 
     def close(self) -> None:
         self._network.disconnect()

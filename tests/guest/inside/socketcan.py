@@ -17,6 +17,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
 from rigctl.devices.startup import StartupError, refuse_rival
 from rigctl.devices.startup_bus import StartupBus
+from rigctl.model.device_states import NmtState
 from tests.builders.waiting import patience_s
 from tests.guest.inside.guest_rig import BUS, Cable, link, rig_file
 
@@ -39,7 +40,7 @@ def settings_on(folder: pathlib.Path, interface: str) -> RigSettings:
 def heartbeat(settings: RigSettings) -> can.Message:
     """A frame that the loop reads."""
     cob = od.HEARTBEAT_BASE + settings.cylinder.node
-    return can.Message(arbitration_id=cob, data=[od.NmtState.OPERATIONAL], is_extended_id=False)
+    return can.Message(arbitration_id=cob, data=[NmtState.OPERATIONAL], is_extended_id=False)
 
 
 def test_a_missing_interface_is_one_clear_line(tmp_path: pathlib.Path) -> None:

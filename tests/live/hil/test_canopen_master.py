@@ -6,7 +6,8 @@ import canopen
 import pytest
 
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState, EmcyCode, PdoLayout, drive_state
+from rigctl.devices.objects import Controlword, EmcyCode, PdoLayout, drive_state
+from rigctl.model.device_states import STATUSWORD, DriveState
 from tests.builders.waiting import until
 
 pytestmark = pytest.mark.real_time
@@ -42,7 +43,7 @@ class Rig:
     def bring_to(self, state: DriveState, controlword: int) -> None:
         def there() -> bool:
             self.command(controlword)
-            return drive_state(self.network[DRIVE].sdo[objects.STATUSWORD].raw) is state
+            return drive_state(self.network[DRIVE].sdo[STATUSWORD].raw) is state
 
         until(there)
 
@@ -95,7 +96,7 @@ def test_the_drive_moves_and_the_truth_follows(rig: Rig) -> None:
 
     until(tensioned)
     rig.command(Controlword.QUICK_STOP)
-    until(lambda: drive_state(rig.network[DRIVE].sdo[objects.STATUSWORD].raw) is DriveState.SWITCH_ON_DISABLED)
+    until(lambda: drive_state(rig.network[DRIVE].sdo[STATUSWORD].raw) is DriveState.SWITCH_ON_DISABLED)
     rig.sync()
     stroke_um = rig.network[DRIVE].sdo[objects.POSITION_ACTUAL].raw
     true_um = truth[objects.SIM_TRUE_STROKE_UM].raw
@@ -111,7 +112,7 @@ def test_the_drive_tells_of_a_lost_controller_by_emergency(rig: Rig) -> None:
     rig.network.send_message(objects.HEARTBEAT_BASE + 1, b"\x05")
     until(lambda: drive.emcy.log)
     assert drive.emcy.log[0].code == EmcyCode.HEARTBEAT_LOST
-    until(lambda: drive_state(drive.sdo[objects.STATUSWORD].raw) is DriveState.FAULT)
+    until(lambda: drive_state(drive.sdo[STATUSWORD].raw) is DriveState.FAULT)
 
 
 def test_the_move_is_started_over_the_bus(rig: Rig) -> None:

@@ -6,9 +6,9 @@ from typing import Any
 
 from rigctl.cli.watch_screen import Screen
 from rigctl.client.rig_view import RigView
-from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire.passed_limits import PassedLimits

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
-from rigctl.config.quantity import unit_of
+from rigctl.model.quantity import unit_of
 from tests.builders.paths import ROOT
 
 PAPER = (ROOT / "config/paper_rig.yaml").read_text()

@@ -22,7 +22,7 @@ spec.loader.exec_module(module)
 
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
-from rigctl.control.events import Kind, worded
+from rigctl.model.events import Kind, worded
 from rigctl.control.snapshot import Snapshot
 from rigctl.ipc.record import RECORD
 from rigctl.recorder import recording

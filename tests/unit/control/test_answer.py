@@ -9,13 +9,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.machine import SUPERVISED_NS, Machine
-from rigctl.control.modes import NEEDS_MOTOR, TRIED_IN, Decision, answer, decide
-from rigctl.control.safety import Action, Trip
-from rigctl.control.situation import Situation, Witness
+from rigctl.control.modes import NEEDS_MOTOR, Decision, answer, decide
+from rigctl.control.safety import Trip
+from rigctl.control.situation import Situation
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.reactions import Action
+from rigctl.model.states import Mode, Witness
+from rigctl.model.verbs import TRIED_IN, Refusal, Verb
 
 READY = Situation(
     unloaded=True, wanted_n=300.0, measured_mm=300.0, stroke_mm=300.0, target_min_n=50.0, target_max_n=350.0, moves=2,

@@ -7,11 +7,11 @@ from dataclasses import replace
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step, Symptom
-from rigctl.control.events import Kind, worded
-from rigctl.control.safety import Action
+from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action, Symptom
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

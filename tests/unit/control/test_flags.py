@@ -8,11 +8,11 @@ from enum import IntFlag
 import pytest
 
 from rigctl.control.arming import AWAITED_CHECKS
-from rigctl.control.snapshot import EStop
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.record import Flag, FrameFlag, Quality
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.faults import Trait
+from rigctl.model.states import EStop
 from tests.builders.paths import ROOT
 
 FLAGS: list[type[IntFlag]] = [AiStatus, Check, EStop, Flag, FrameFlag, Quality, Trait]

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.homed import GAP_NS, TOLERANCE_MM, Homed, LastStroke
+from rigctl.control.homed import GAP_NS, Homed, LastStroke
+from rigctl.model.verbs import STROKE_TOLERANCE_MM
 from tests.builders.paths import ROOT
 
 CYLINDER = config.load(ROOT / "config/paper_rig.yaml").cylinder
@@ -37,7 +38,7 @@ def test_a_jump_is_told_once_until_an_operator_confirms_the_stroke() -> None:
 @pytest.mark.parametrize("speed_mm_s", [0.0, 8.0, -8.0])
 @pytest.mark.parametrize("passed_ns", [1 * MS, GAP_NS])
 def test_what_the_speed_explains_is_no_jump(speed_mm_s: float, passed_ns: int) -> None:
-    for beyond_mm, believed in ((TOLERANCE_MM - 0.01, True), (TOLERANCE_MM + 0.01, False)):
+    for beyond_mm, believed in ((STROKE_TOLERANCE_MM - 0.01, True), (STROKE_TOLERANCE_MM + 0.01, False)):
         subject = homed()
         subject.look(50.0 + speed_mm_s * 0.5e-3, speed_mm_s, 1 * MS)
         moved_mm = speed_mm_s * passed_ns * 1e-9
@@ -47,7 +48,7 @@ def test_what_the_speed_explains_is_no_jump(speed_mm_s: float, passed_ns: int) -
 
 
 def test_over_a_longer_gap_the_drive_may_have_gone_on_until_its_own_deadline() -> None:
-    for stroke_mm, believed in ((50.0 + 0.79 + TOLERANCE_MM, True), (50.0 + 0.82 + TOLERANCE_MM, False)):
+    for stroke_mm, believed in ((50.0 + 0.79 + STROKE_TOLERANCE_MM, True), (50.0 + 0.82 + STROKE_TOLERANCE_MM, False)):
         subject = homed()
         subject.look(50.004, 8.0, 1 * MS)
         subject.look(stroke_mm, 0.0, 1 * MS + 3 * GAP_NS)  # 0.1 s at 8 mm/s

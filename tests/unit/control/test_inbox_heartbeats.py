@@ -10,6 +10,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.devices import objects as od
 from rigctl.ipc.record import Quality
+from rigctl.model.device_states import NmtState
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
 RIG = config.load(CONFIG / "paper_rig.yaml")
@@ -21,22 +22,22 @@ def test_a_device_is_silent_from_the_first_tick_or_its_last_heartbeat_on() -> No
     bench.give(0x7FF, b"")
     assert bench.inbox.network.heartbeats_t_ns == dict.fromkeys(nodes, 1 * MS)  # start-up has just reached all
     for _ in range(3):
-        bench.give(od.HEARTBEAT_BASE + cell, bytes([od.NmtState.OPERATIONAL]))
+        bench.give(od.HEARTBEAT_BASE + cell, bytes([NmtState.OPERATIONAL]))
     bench.give(0x7FF, b"")
     assert bench.inbox.network.heartbeats_t_ns == {node: 4 * MS if node == cell else 1 * MS for node in nodes}
 
 
 def test_a_change_of_state_is_told_once_by_itself() -> None:
     bench, cell = Bench(RIG), RIG.tension_cell.node
-    for state in (od.NmtState.OPERATIONAL, od.NmtState.PRE_OPERATIONAL):
+    for state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL):
         bench.give(od.HEARTBEAT_BASE + cell, bytes([state]))
         bench.inbox.network.notices()
-    bench.give(od.HEARTBEAT_BASE + cell, bytes([od.NmtState.STOPPED]))
+    bench.give(od.HEARTBEAT_BASE + cell, bytes([NmtState.STOPPED]))
     notices = bench.inbox.network.notices()
     assert notices is not None
     assert notices.node_states
     assert not (notices.emergencies or notices.bus_errors or notices.foreign_sdo)
-    bench.give(od.HEARTBEAT_BASE + cell, bytes([od.NmtState.STOPPED]))
+    bench.give(od.HEARTBEAT_BASE + cell, bytes([NmtState.STOPPED]))
     assert bench.inbox.network.notices() is None
 
 

@@ -10,11 +10,12 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.control.control_process import receive_filters
-from rigctl.control.events import fault_text
-from rigctl.control.snapshot import EStop
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
+from rigctl.model.device_states import NmtState
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
+from rigctl.model.states import EStop
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
 PAPER = config.load(CONFIG / "paper_rig.yaml")
@@ -81,9 +82,9 @@ def test_its_emergency_is_a_devices_and_its_boot_up_a_restart() -> None:
     ) == (True, 0, False)
     bench.give(od.EMCY_BASE + IO.node, bytes(8))
     assert bench.inbox.network.sensor_emergency == 0
-    bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.OPERATIONAL]))
+    bench.give(od.HEARTBEAT_BASE + IO.node, bytes([NmtState.OPERATIONAL]))
     assert not bench.inbox.network.restarted
-    bench.give(od.HEARTBEAT_BASE + IO.node, bytes([od.NmtState.BOOT_UP]))
+    bench.give(od.HEARTBEAT_BASE + IO.node, bytes([NmtState.BOOT_UP]))
     assert bench.inbox.network.restarted
 
 

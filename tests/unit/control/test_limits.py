@@ -11,11 +11,12 @@ from pydantic import ValidationError
 from rigctl.config import rig_file as config
 from rigctl.config.limits_section import LimitSettings, SignalName
 from rigctl.control import limits
-from rigctl.control.events import fault_text
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Action, Row
+from rigctl.control.safety import Row
 from rigctl.control.snapshot import Snapshot
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.signals import WATCHED
 from rigctl.model.states import Mode
 from tests.builders.outcomes import WatchLog

@@ -12,7 +12,6 @@ from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
 from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
 from rigctl.control.command_checks import RECHECK_NS
 from rigctl.control.ending import LIMIT_S, WAITS_NS
-from rigctl.control.modes import CARRY_S
 from rigctl.control.parking import REST_NS, UNDO_MM
 from rigctl.control.power_seen import UNDO_NS
 from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
@@ -20,6 +19,7 @@ from rigctl.control.stage import ARM_LIMIT_NS, KEPT_NS
 from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SHOWN_MM
 from rigctl.control.tension import PAYS_OUT_MM_S
 from rigctl.model.faults import Trait, having
+from rigctl.model.verbs import CARRY_S
 from tests.builders.paths import ROOT
 
 PAGE = " ".join((ROOT / "docs/load.md").read_text().split())

@@ -6,10 +6,10 @@ import pathlib
 
 import pytest
 
-from rigctl.control.events import Kind
 from rigctl.control.logbook import NOTICES_KEPT, Logbook, Rings
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from tests.builders.rig_bench import SETTINGS
 
 MS = 1_000_000

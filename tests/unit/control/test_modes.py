@@ -11,15 +11,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.control.machine import Answer, Machine
-from rigctl.control.modes import FILED, TRANSITIONS, TRIED_IN, Decision, command_slot, decide, next_mode
-from rigctl.control.safety import Action, Trip
+from rigctl.control.modes import FILED, TRANSITIONS, Decision, command_slot, decide, next_mode
+from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, OFF_LIMIT_NS, Sequence
+from rigctl.control.stage import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, Sequence
 from rigctl.devices.drive import Power
 from rigctl.ipc.record import COMMAND
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Event, Mode
-from rigctl.model.verbs import Refusal, Setting, Verb
+from rigctl.model.verbs import OFF_LIMIT_NS, TRIED_IN, Refusal, Setting, Verb
 from tests.builders.outcomes import MachineLog
 
 READY = Situation(

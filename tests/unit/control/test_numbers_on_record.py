@@ -6,14 +6,13 @@ from enum import IntEnum, IntFlag
 
 import pytest
 
-from rigctl.control.ending import EndStep
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.supervision import Doing
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, bits_of, faults_of
-from rigctl.model.states import Event, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.reactions import Action
+from rigctl.model.states import EndStep, Event, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal, Setting, Verb
 
 NUMBERS: dict[type[IntEnum] | type[IntFlag], str] = {

@@ -7,9 +7,9 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.control.load_at_rest import LoadRest
 from rigctl.control.power_off import WAIT_NS, PowerOffWatch
-from rigctl.control.safety import Action
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import PowerOff
 from tests.builders.paths import ROOT
 

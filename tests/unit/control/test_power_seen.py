@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.power_seen import PowerDetector, stopping_ns
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import Controlword
+from rigctl.model.device_states import DriveState
 from tests.builders.rig_bench import SETTINGS
 
 MS, S = 1_000_000, 1_000_000_000

@@ -13,13 +13,14 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
-from rigctl.control.events import Kind, worded
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Action, Row, preflight, table
-from rigctl.control.snapshot import EStop, FieldValue, Snapshot
+from rigctl.control.safety import Row, preflight, table
+from rigctl.control.snapshot import FieldValue, Snapshot
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
+from rigctl.model.reactions import Action
+from rigctl.model.states import EStop, Mode
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 from tests.builders.snapshots import changed

@@ -13,12 +13,13 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
-from rigctl.control.events import fault_text
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Action, Row, Trip, preflight, table
+from rigctl.control.safety import Row, Trip, preflight, table
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT

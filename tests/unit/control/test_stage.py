@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 
 from rigctl.control import stage
 from rigctl.control.arming import ArmingStep
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation
 from rigctl.control.stage import (
     ARM_LIMIT_NS,
     CUT_AFTER_NS,
     DRIVE_RESET_NS,
     KEPT_NS,
-    OFF_LIMIT_NS,
     ROWS,
     STAGES,
     STEPS,
@@ -34,8 +33,9 @@ from rigctl.control.stage import (
 )
 from rigctl.devices.drive import Power
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import OFF_LIMIT_NS, Refusal, Verb
 from tests.builders.outcomes import MachineLog
 from tests.builders.paths import ROOT
 

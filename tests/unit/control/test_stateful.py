@@ -14,12 +14,13 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
 from rigctl.control import limits
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Action, Trip
+from rigctl.control.safety import Trip
 from rigctl.control.situation import Situation
 from rigctl.control.snapshot import Snapshot
 from rigctl.control.stage import ARM_LIMIT_NS
 from rigctl.devices.drive import Power
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Event, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.outcomes import MachineLog, WatchLog

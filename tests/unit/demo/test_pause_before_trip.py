@@ -9,7 +9,8 @@ import numpy.typing as npt
 import pytest
 
 from rigctl.demo.live import Pause, pause_before_trip
-from rigctl.ipc.record import NEVER_AGE_NS, RECORD
+from rigctl.ipc.record import RECORD
+from rigctl.model.signals import NEVER_AGE_NS
 from rigctl.model.states import Mode
 from tests.builders.rig_bench import SETTINGS
 

@@ -14,9 +14,10 @@ from hypothesis import strategies as st
 from rigctl.devices import codecs, sdo
 from rigctl.devices import objects as od
 from rigctl.devices.drive import Power, next_controlword
-from rigctl.devices.objects import Controlword, DriveState, PdoLayout
+from rigctl.devices.objects import Controlword, PdoLayout
 from rigctl.devices.process_data import DriveUnits
 from rigctl.ipc.record import Quality
+from rigctl.model.device_states import STATUSWORD, DriveState
 from tests.builders.paths import ROOT
 
 EDS = ROOT / "config/eds"
@@ -170,7 +171,7 @@ def test_a_fault_reset_is_a_rising_edge() -> None:
 
 
 VALUES = {
-    (od.STATUSWORD, 0): ("H", 0x1637),
+    (STATUSWORD, 0): ("H", 0x1637),
     (od.POSITION_ACTUAL, 0): ("i", -1234),
     (od.VELOCITY_ACTUAL_16, 0): ("h", 567),
     (od.MODE_DISPLAY, 0): ("b", 9),
@@ -223,7 +224,7 @@ def test_a_command_goes_out_in_the_order_of_a_fixed_mapping(entries: list[int]) 
 
 def test_a_drive_in_increments_is_read_and_commanded_in_them() -> None:
     units = DriveUnits(1 / 209_715.2, 1 / 12.0, 1.0)
-    place = PdoLayout(od.TPDO1_BASE, ((od.STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i")))
+    place = PdoLayout(od.TPDO1_BASE, ((STATUSWORD, 0, "H"), (od.POSITION_ACTUAL, 0, "i")))
     statusword, stroke_mm, speed = codecs.drive_decoder(place, units)(struct.pack("<Hi", 0x27, 2_097_152))
     assert (statusword, stroke_mm) == (0x27, pytest.approx(10.0)) and math.isnan(speed)
     velocity = PdoLayout(od.tpdo_base(3), ((od.VELOCITY_ACTUAL, 0, "i"),))
@@ -246,14 +247,14 @@ def test_a_preload_goes_out_per_mille_of_the_rated_torque_and_ends_there(preload
     [(0x180, (0x1800, 0x1A00)), (0x480, (0x1803, 0x1A03)), (0x200, (0x1400, 0x1600)), (0x300, (0x1401, 0x1601))],
 )
 def test_a_pdo_knows_its_parameters(base: int, places: tuple[int, int]) -> None:
-    layout = PdoLayout(base, ((od.STATUSWORD, 0, "H"),))
+    layout = PdoLayout(base, ((STATUSWORD, 0, "H"),))
     assert (layout.communication, layout.mapping_object) == places
     assert layout.transmitted == (places[0] >= 0x1800)
 
 
 def test_an_upload_is_a_value_only_if_its_answer_holds_it() -> None:
     def answer(command: int, value: int = 0) -> sdo.UploadAnswer:
-        return sdo.upload_answer(struct.pack("<BHBI", command, od.STATUSWORD, 0, value), 2)
+        return sdo.upload_answer(struct.pack("<BHBI", command, STATUSWORD, 0, value), 2)
 
     assert answer(0x4B, 0xFFFF_0237).value == 0x0237  # two bytes, by the command's own count
     assert answer(0x42, 0xFFFF_0237).value == 0x0237  # by the object's size

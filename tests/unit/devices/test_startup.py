@@ -17,6 +17,7 @@ from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, DRIVE_SPEED, DRIVE_STATUS, DriveUnits, ProcessData, wanted
 from rigctl.devices.remote_node import StartupError
 from rigctl.devices.startup_bus import StartupBus
+from rigctl.model.device_states import NmtState
 from tests.builders.rig_bench import SETTINGS, changed
 from tests.builders.rig_on_hub import START_NS, RigOnHub
 from tests.unit.control.test_plain_inbox import Queue
@@ -228,7 +229,7 @@ def test_devices_that_boot_are_waited_for_and_named() -> None:
     assert report.supervised
     assert [line.split(",")[0] for line in devices.said] == ["waiting for cylinder drive (node 4)"]
     assert devices.t_ns - START_NS >= 5_000_000_000
-    assert all(node.nmt_state is od.NmtState.OPERATIONAL for node in devices.rig.nodes if node.id < 100)
+    assert all(node.nmt_state is NmtState.OPERATIONAL for node in devices.rig.nodes if node.id < 100)
 
 
 def test_a_device_that_does_not_boot_is_given_up_by_name() -> None:

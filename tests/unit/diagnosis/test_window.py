@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from rigctl.config import rig_file
-from rigctl.control.events import Kind
 from rigctl.diagnosis.diagnose import diagnose
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, Noted, around, latched, trips
 from rigctl.ipc.record import RECORD
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
 from tests.builders.paths import ROOT

@@ -15,13 +15,13 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing, in_force
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from rigctl.model.verbs import Setting, Verb
 from rigctl.wire.command_request import Request
 from tests.builders.paths import ROOT

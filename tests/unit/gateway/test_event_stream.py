@@ -9,10 +9,10 @@ import msgspec
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.events import Kind
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.streams import UNRECORDED_NS, EventStream
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from rigctl.wire.keys import SEVERITIES
 from tests.builders.paths import ROOT
 

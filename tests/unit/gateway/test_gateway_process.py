@@ -21,8 +21,7 @@ from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action, table
+from rigctl.control.safety import table
 from rigctl.control.trials import AVERAGED_S
 from rigctl.gateway.command_rate import ALL_BURST
 from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS, Giver
@@ -34,7 +33,9 @@ from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
 from rigctl.model.checks import HOST_CHECKS
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Setting, Verb
 from rigctl.wire.user_name import PAGE

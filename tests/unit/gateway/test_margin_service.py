@@ -10,12 +10,12 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
-from rigctl.control.events import Unmeasured
 from rigctl.gateway import margin_service
 from rigctl.gateway.evaluation import EvaluationError
 from rigctl.gateway.margin_service import AGAIN_NS, FIRST_NS, MarginService
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Setting, SettingOrder
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s

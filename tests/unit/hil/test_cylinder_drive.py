@@ -11,7 +11,8 @@ import pytest
 from hil.nodes.dictionary import Abort
 from hil.nodes.node import ERROR_FIELD
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState, EmcyCode
+from rigctl.devices.objects import Controlword, EmcyCode
+from rigctl.model.device_states import DriveState
 from tests.builders.rig_bench import MS, SETTINGS, SETTINGS_BRAKE_MS, RigBench
 
 DRIVE = SETTINGS.cylinder.node

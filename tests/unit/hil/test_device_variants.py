@@ -9,7 +9,7 @@ import pytest
 
 from hil.nodes.dictionary import Abort
 from rigctl.devices import objects
-from rigctl.devices.objects import NmtState
+from rigctl.model.device_states import NmtState
 from tests.builders.rig_bench import SETTINGS, RigBench, changed
 
 CELL, SLOPE, DRIVE = 2, 3, 4

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from hil.nodes.drive_states import command_of, next_state
-from rigctl.devices.objects import Controlword, DriveState
+from rigctl.devices.objects import Controlword
+from rigctl.model.device_states import DriveState
 
 STATES = (
     DriveState.NOT_READY,

@@ -12,6 +12,7 @@ from canopen.objectdictionary import datatypes
 from hil.nodes.dictionary import STRUCT_CODES, entry, number
 from rigctl.devices import objects
 from rigctl.devices.objects import PdoLayout
+from rigctl.model.device_states import STATUSWORD
 from tests.builders.rig_bench import REPOSITORY
 
 EDS = REPOSITORY / "config/eds"
@@ -78,7 +79,7 @@ OBJECTS = [  # file, index, subindex, type, access, default
     (DRIVE, objects.ABORT_CONNECTION_OPTION, 0, I16, "rw", ANY),
     (DRIVE, objects.ERROR_CODE, 0, U16, "ro", None),
     (DRIVE, objects.CONTROLWORD, 0, U16, "rw", 0),
-    (DRIVE, objects.STATUSWORD, 0, U16, "ro", None),
+    (DRIVE, STATUSWORD, 0, U16, "ro", None),
     (DRIVE, objects.QUICK_STOP_OPTION, 0, I16, "rw", 2),
     (DRIVE, objects.SHUTDOWN_OPTION, 0, I16, "rw", 0),
     (DRIVE, objects.DISABLE_OPERATION_OPTION, 0, I16, "rw", 1),

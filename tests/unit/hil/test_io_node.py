@@ -7,6 +7,7 @@ import pytest
 from hil.nodes.dictionary import Abort
 from rigctl.config.io_section import IoSettings
 from rigctl.devices import objects
+from rigctl.model.device_states import NmtState
 from tests.builders.rig_bench import SETTINGS, RigBench
 
 NODE = 6
@@ -148,7 +149,7 @@ def test_one_button_has_two_contacts_and_the_io_nodes_can_open_alone(bench: RigB
 
 def test_a_reset_takes_its_settings_and_says_so(bench: RigBench) -> None:
     bench.nmt(0x81, NODE)
-    assert bench.sent(objects.HEARTBEAT_BASE + NODE)[-1] == bytes([objects.NmtState.BOOT_UP])
+    assert bench.sent(objects.HEARTBEAT_BASE + NODE)[-1] == bytes([NmtState.BOOT_UP])
     assert [bench.read(NODE, COMMUNICATION, sub) for sub in (3, 5)] == [0, 0]
     bench.nmt(0x01, NODE)
     assert inputs(bench, 100) == [CLOSED]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from hil.nodes.dictionary import Abort
 from rigctl.devices import objects
-from rigctl.devices.objects import NmtState
+from rigctl.model.device_states import NmtState
 from tests.builders.rig_bench import SETTINGS, RigBench
 
 CELL, SLOPE, DRIVE, BENCH = NODES = (2, 3, 4, objects.SIMULATOR_NODE)

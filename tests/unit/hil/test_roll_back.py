@@ -7,7 +7,8 @@ import struct
 import pytest
 
 from rigctl.devices import objects
-from rigctl.devices.objects import Controlword, DriveState, EmcyCode
+from rigctl.devices.objects import Controlword, EmcyCode
+from rigctl.model.device_states import DriveState
 from tests.builders.rig_bench import SETTINGS, RigBench, changed
 
 DRIVE = SETTINGS.cylinder.node

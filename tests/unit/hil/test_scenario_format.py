@@ -19,8 +19,8 @@ from hil.scenario.figures import LOOP_FIGURES, TRUTH_FIGURES
 from hil.scenario.format import Scenario, Window, read
 from hil.scenario.kinds import Disturbances, LevelPoint
 from hil.scenario.layered_rig import settings_of
-from rigctl.config.quantity import unit_of
 from rigctl.config.wording import KeyType
+from rigctl.model.quantity import unit_of
 from tests.builders.paths import ROOT
 
 PAGE = (ROOT / "docs/scenario.md").read_text()

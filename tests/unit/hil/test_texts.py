@@ -22,12 +22,11 @@ from hil.texts import pages, words
 from hil.texts.event_samples import samples
 from hil.texts.helps import helps
 from rigctl.cli.verb_table import VERBS
-from rigctl.control import events
-from rigctl.control.events import Kind
-from rigctl.control.situation import Witness
-from rigctl.devices import emergency
+from rigctl.model import emergency, events, fault_words, reactions, refusal_words, states, unmeasured
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.states import Witness
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
@@ -91,7 +90,7 @@ def test_every_member_of_an_enumeration_is_in_an_event(kind: Kind, field: str, m
     ("module", "name"),
     [
         (module, name)
-        for module in (events, emergency)
+        for module in (emergency, events, fault_words, reactions, refusal_words, states, unmeasured)
         for name, table in vars(module).items()
         if isinstance(table, dict) and not name.startswith("__") and name not in IMPORTED
     ],
@@ -203,7 +202,7 @@ def test_a_changed_text_is_found_and_shown(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setitem(events._PLAIN_TEXT, Refusal.SLACK, "the rope hangs")
+    monkeypatch.setitem(refusal_words._PLAIN_TEXT, Refusal.SLACK, "the rope hangs")
     assert run(tmp_path / "after.json", written) == 1
     shown = capsys.readouterr().out.splitlines()
     first = shown.index("refusal SLACK 12.345:")

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.events import Kind
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.states import Event, Mode
 from rigctl.recorder.trips import AFTER_NS, Trigger, Trips, first_group

@@ -7,8 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 
-from rigctl.control.events import Kind
 from rigctl.ipc.record import EVENT
+from rigctl.model.events import Kind
 from rigctl.model.faults import EACH_SECOND
 from rigctl.supervisor.event_lines import AGAIN_NS, KEPT, EventLines
 

@@ -10,12 +10,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file
-from rigctl.control.ending import EndStep
-from rigctl.control.events import Kind, fault_text, worded
-from rigctl.control.safety import Action
 from rigctl.ipc.notes import Note
 from rigctl.ipc.notes import worded as worded_note
+from rigctl.model.events import Kind, worded
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, Trait
+from rigctl.model.reactions import Action
+from rigctl.model.states import EndStep
 from rigctl.wire.alarm_words import alarm_rows, block, in_brief, listed, standing, tally
 from rigctl.wire.alarms import (
     CHATTERING_NS,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.control.events import Kind
+from rigctl.model.events import Kind
 from rigctl.model.states import Event, Mode
 from rigctl.wire.mode_origin import ModeOrigin
 from tests.unit.wire.test_alarms import S, event

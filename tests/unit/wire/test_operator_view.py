@@ -6,11 +6,12 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.events import Kind, fault_text
-from rigctl.control.safety import Action
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
+from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 from rigctl.wire import state_words

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from rigctl.client.decoding import KNOWN_VERSIONS, SchemaError, layout_of
-from rigctl.control.events import Kind
 from rigctl.ipc.notes import Note, note_message
 from rigctl.ipc.record import EVENT, NOTE, RECORD
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, faults_of
 from rigctl.model.verbs import Verb
 from rigctl.wire import command_request as request

@@ -19,9 +19,6 @@ from hypothesis import strategies as st
 
 from rigctl.commission.preflight import PreflightVerdict
 from rigctl.config import rig_file as config
-from rigctl.control.events import Kind
-from rigctl.control.safety import Action
-from rigctl.devices.objects import DriveState
 from rigctl.gateway import published_position
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
@@ -33,7 +30,10 @@ from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
 from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import percentiles_us
+from rigctl.model.device_states import DriveState
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.wire.event_message import event_message
 from rigctl.wire.record_names import ALIVE_NS, quality_words

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rigctl.control.events import Kind, worded
-from rigctl.devices import can_errors
+from rigctl.model import can_errors
+from rigctl.model.events import Kind, worded
 
 FRAMES = (
     (0x040, "00" * 8, "error", "bus-off: the controller has left the bus (set the interface down and up again)"),

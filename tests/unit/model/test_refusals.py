@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from rigctl.control.events import refusal_text
 from rigctl.model.faults import Fault, Trait, bits_of
+from rigctl.model.refusal_words import refusal_text
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rigctl.devices import emergency
+from rigctl.model import emergency
 
 
 @pytest.mark.parametrize(

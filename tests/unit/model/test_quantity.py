@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.config.quantity import Number, count, number, significant
-from rigctl.control.escalation import Symptom
-from rigctl.control.events import Kind, fault_text, worded
-from rigctl.control.safety import Action
+from rigctl.model.events import Kind, worded
+from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
+from rigctl.model.quantity import Number, count, number, significant
+from rigctl.model.reactions import Action, Symptom
 from rigctl.model.signals import WATCHED
 from rigctl.model.states import Mode
 from rigctl.wire import state_words as figures
