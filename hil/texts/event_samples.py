@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import IntEnum, IntFlag
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from rigctl.model import emergency
 from rigctl.model.device_states import STATUSWORD, DriveState
+from rigctl.model.event_row import EventField
 from rigctl.model.events import Kind
 from rigctl.model.fault_words import MOVES_OFF, POSITION, RUNAWAY, SPEED
 from rigctl.model.faults import Fault
@@ -100,12 +101,28 @@ _PLAIN = (
 
 
 def samples() -> Iterator[EventSample]:
-    """All of them."""
-    yield from _PLAIN
-    yield from _of_modes()
-    yield from _of_faults()
-    yield from _of_devices()
-    yield from _of_load()
+    """All of them: those below, and for every other kind what its row says."""
+    found = [*_PLAIN, *_of_modes(), *_of_faults(), *_of_devices(), *_of_load()]
+    by_hand = {sample.kind for sample in found}
+    yield from found
+    for kind in Kind:
+        if kind not in by_hand:
+            yield from of_row(kind)
+
+
+def of_row(kind: Kind) -> Iterator[EventSample]:
+    """A sample for each combination of the members of its fields."""
+    values = {field.slot: _values(field) for field in kind.fields}
+    for chosen in product(*values.values()):
+        yield EventSample(kind, **dict(zip(values, chosen, strict=True)))
+
+
+def _values(field: EventField) -> Sequence[Any]:
+    if field.members is not None:
+        return tuple(field.members)
+    if field.of is bool:
+        return (0, 1)
+    return {"text": (field.name,), "value": (12.5,), "limit": (5.0,)}.get(field.slot, (2,))
 
 
 def _of_modes() -> Iterator[EventSample]:

@@ -574,7 +574,3 @@ _AT_ITS_TIME = re.compile(r", the rope is slack in about \d+ s")
 def lasting(words: str) -> str:
     """Words of an event without those that are true only at its time: the state counts down until the rope is slack."""
     return _AT_ITS_TIME.sub("", words)
-
-
-EACH_SECOND = ("BUS_ERROR", "SEND_FAILED", "RECEIVE_FAILED")
-"""Kinds of events by which the loop reports a bus that fails, every second while it lasts."""

@@ -9,7 +9,7 @@ _UNITS = {
     "impulse_n_s": "N s", "_n_s_mm": "N s/mm", "_n_s_m": "N s/m", "_n_mm": "N/mm", "_mm_s2": "mm/s2",
     "_deg_s2": "deg/s2", "_mm_s": "mm/s", "_deg_s": "deg/s", "_mm_m": "mm/m", "_n_s": "N/s", "_n_h": "N/h",
     "_bit_s": "bit/s", "_hz": "Hz", "_us": "us", "_ms": "ms", "_mm": "mm", "_kg": "kg", "_deg": "deg", "_ppm": "ppm",
-    "_pct": "%", "_n": "N", "_s": "s",
+    "_pct": "%", "_mk": "mK", "_n": "N", "_s": "s",
 }  # fmt: skip
 
 

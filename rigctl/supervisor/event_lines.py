@@ -6,13 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rigctl.model.events import Kind, worded
-from rigctl.model.faults import EACH_SECOND
+from rigctl.model.events import EACH_SECOND, Kind, worded
 
 AGAIN_NS = 60_000_000_000
 """After which a failure that the loop reports every second is printed again while it lasts."""
 KEPT = 100
-_EACH_SECOND = frozenset(Kind[name] for name in EACH_SECOND)
 
 
 class EventLines:
@@ -26,7 +24,7 @@ class EventLines:
         for slot in slots:
             kind, a, b, value, limit, text = (slot[n].item() for n in ("kind", "a", "b", "value", "limit", "text"))
             event = worded(kind, a, b, value, limit, text.decode(errors="replace"))
-            if kind in _EACH_SECOND and not self._is_due(event.text, int(slot["t_ns"])):
+            if Kind(kind).name in EACH_SECOND and not self._is_due(event.text, int(slot["t_ns"])):
                 continue
             yield event.text if event.severity == "info" else f"{event.severity.upper()}: {event.text}"
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from rigctl.model.event_row import Priority
 from rigctl.model.quantity import count
-from rigctl.wire.alarms import NOT_WATCHED, Alarm, Priority, follows, is_explained, without_steps
+from rigctl.wire.alarms import NOT_WATCHED, Alarm, follows, is_explained, without_steps
 from rigctl.wire.operator_view import OperatorView
 from rigctl.wire.state_words import clock
 

@@ -10,10 +10,12 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from enum import Enum, IntEnum
+from enum import Enum
 from typing import Any
 
-from rigctl.model.faults import EACH_SECOND, Fault, Trait, lasting
+from rigctl.model.event_row import OfFault, OwnAlarm, Priority
+from rigctl.model.events import EACH_SECOND, Kind
+from rigctl.model.faults import Fault, Trait, lasting
 from rigctl.model.quantity import Number
 from rigctl.model.reactions import Action
 from rigctl.model.signals import NEVER_AGE_NS, WATCHED
@@ -40,14 +42,6 @@ _OF_GATEWAY = frozenset({ENDPOINT_TAKEN, "RECORDER_ENDED", "GATEWAY_ENDED"})
 """Causes that a restart of the loop does not end."""
 AUDIT_LOG_CHANGED = "AUDIT_LOG_CHANGED"
 _LOG_REMEDY = "Keep what is left of the file; rigctl audit verify shows where its chain breaks. Find who did it."
-
-
-class Priority(IntEnum):
-    """How soon somebody has to act."""
-
-    URGENT = 1  # the rig commands the drive off, or has nothing stronger left
-    HIGH = 2  # the rig holds or ramps down: it is out of service
-    LOW = 3  # the rig goes on
 
 
 class AlarmAct(Enum):
@@ -117,23 +111,6 @@ class Alarm:
         return "cleared" if self.watched else NOT_WATCHED
 
 
-# Events that are no trip, with their priority and the fault whose remedy is theirs.
-_OTHERS: dict[str, tuple[Priority, Fault]] = {
-    "EMERGENCY": (Priority.LOW, Fault.SENSOR_EMERGENCY),
-    "BUS_ERROR": (Priority.LOW, Fault.BUS_SILENT),
-    "SEND_FAILED": (Priority.LOW, Fault.BUS_SILENT),
-    "RECEIVE_FAILED": (Priority.LOW, Fault.BUS_SILENT),
-    "FOREIGN_SDO": (Priority.LOW, Fault.RIVAL),
-    "SETTING_LOST": (Priority.LOW, Fault.SUPERVISION_LOST),
-    "STROKE": (Priority.LOW, Fault.STROKE_JUMPED),
-    "STROKE_LEFT": (Priority.LOW, Fault.STROKE_NOT_HELD),
-    "DRIVE_CREEPS": (Priority.LOW, Fault.STROKE_NOT_HELD),
-    "ENDING": (Priority.URGENT, Fault.BRAKE_SLIPS),
-}
-_LASTING = ("EMERGENCY", "STROKE", "ENDING")
-"""Of these: active until an event of severity info."""
-_ONSETS = ("TRIP", "CAUSE", "LIMIT", "ESCALATION")
-_ENDS = ("CAUSE_OVER", "LIMIT_OVER")
 _NUMBER = r"\{%s:([^}]*)\}(?:(\{unit\})| (N|mm/s|mm|ms|ticks|times|s)\b)?"
 _STEPS = re.compile(r"[:;,] (?:start the daemon anew|find who commands the drive).*", re.DOTALL)
 _SHELVED = re.compile(r"(\d{1,6}) s: (.*)", re.DOTALL)
@@ -163,8 +140,10 @@ def figure(fault: Fault, name: str, number: Any, about: str = "") -> str:
 
 def cause_of(event: dict[str, Any]) -> str:
     """The cause that an event is about: its row; "" for an event that is no alarm's."""
-    kind = event.get("kind")
-    if kind in (*_ONSETS, *_ENDS, "RESET"):
+    kind = _kind_of(event)
+    if kind is None or kind.alarm is None:
+        return ""
+    if isinstance(kind.alarm, OfFault):
         fault = fault_of(event.get("a"))
         if fault is Fault.NONE:
             return ""
@@ -173,9 +152,12 @@ def cause_of(event: dict[str, Any]) -> str:
             if Trait.OF_RIG_FILE in fault.traits and event.get("about")
             else fault.name
         )
-    if kind == "EMERGENCY":
-        return f"EMERGENCY node {event.get('a')}"
-    return str(kind) if kind in _OTHERS else ""
+    return f"{kind.name} node {event.get('a')}" if kind is Kind.EMERGENCY else kind.name
+
+
+def _kind_of(event: dict[str, Any]) -> Kind | None:
+    """The kind of an event of the loop; None for another one."""
+    return Kind.__members__.get(str(event.get("kind")))
 
 
 def _lasts(row: Alarm, at_ns: int) -> bool:
@@ -190,23 +172,31 @@ def _is_nan(value: Any) -> bool:
 
 def _alarm_of(event: dict[str, Any], cause: str) -> Alarm:
     """The row as an event alone makes it."""
-    kind, text, at = event["kind"], str(event.get("text", "")), int(event["wall_ns"])
-    if kind in _OTHERS:
-        priority, fault = _OTHERS[kind]
-        over = event.get("severity") == "info"
-        momentary = kind not in _LASTING
-        return Alarm(cause, priority, text, fault.remedy, at, at, stands=not (momentary or over), onsets_ns=(at,))
+    kind, text, at = _kind_of(event), str(event.get("text", "")), int(event["wall_ns"])
+    if kind is not None and isinstance(kind.alarm, OwnAlarm):
+        stands = kind.alarm.lasts and event.get("severity") != "info"
+        remedy = kind.alarm.remedy_of.remedy
+        return Alarm(cause, kind.alarm.priority, text, remedy, at, at, stands=stands, onsets_ns=(at,))
     fault, about = fault_of(event.get("a")), str(event.get("about", ""))
     for prefix in (f"trip {fault.name}: ", f"{fault.name} is active: ", "limit: "):
         text = lasting(text.removeprefix(prefix))
     action = event.get("b")
-    priority = Priority.LOW if kind == "LIMIT" else Priority.HIGH
-    if kind == "ESCALATION" or (isinstance(action, int) and action >= Action.QUICK_STOP):
+    priority = Priority.LOW if kind is Kind.LIMIT else Priority.HIGH
+    if kind is Kind.ESCALATION or (isinstance(action, int) and action >= Action.QUICK_STOP):
         priority = Priority.URGENT
-    value, limit = ("" if kind == "ESCALATION" else figure(fault, name, event.get(name), about)
+    value, limit = ("" if kind is Kind.ESCALATION else figure(fault, name, event.get(name), about)
                     for name in ("value", "limit"))  # fmt: skip
     return Alarm(
-        cause, priority, text, fault.remedy, at, at, value=value, limit=limit, logged=kind == "LIMIT", onsets_ns=(at,)
+        cause,
+        priority,
+        text,
+        fault.remedy,
+        at,
+        at,
+        value=value,
+        limit=limit,
+        logged=kind is Kind.LIMIT,
+        onsets_ns=(at,),
     )
 
 
@@ -226,23 +216,25 @@ class Alarms:
 
     def note(self, event: dict[str, Any]) -> None:
         """Take one event."""
-        kind = event.get("kind")
+        kind = _kind_of(event)
         if event.get("source") == "gateway":
             self._decided(event)
-        elif kind == "STARTED":
+        elif kind is Kind.STARTED:
             self._latched = ""
             for cause in self._rows.keys() - _OF_GATEWAY:
                 self._change(cause, stands=False, watched=True)
-        elif cause := cause_of(event):
-            if kind in _ENDS or (kind in _LASTING and event.get("severity") == "info"):
-                self._change(cause, stands=False, watched=kind not in _ENDS or not _is_nan(event.get("value")))
-            elif kind == "RESET":
+        elif kind is not None and (cause := cause_of(event)):
+            alarm = kind.alarm
+            lasts = isinstance(alarm, OwnAlarm) and alarm.lasts
+            if alarm is OfFault.ENDS or (lasts and event.get("severity") == "info"):
+                self._change(cause, stands=False, watched=lasts or not _is_nan(event.get("value")))
+            elif alarm is OfFault.RESET:
                 self._latched = ""
                 for row in [row for row in self._rows if row.partition(" ")[0] == cause.partition(" ")[0]]:
                     self._change(row, acknowledged="reset", stands=False, watched=True)  # what stands still trips anew
             else:
                 self._came(_alarm_of(event, cause))
-                self._latched = cause if kind == "TRIP" else self._latched
+                self._latched = cause if kind is Kind.TRIP else self._latched
 
     def _came(self, new: Alarm) -> None:
         old = self._rows.pop(new.cause, None)  # the newest row stands last, so that the oldest makes room

@@ -38,67 +38,7 @@ GATEWAY_EVENT: Rows = (
     ("reason", "string", "", "why, in the operator's words"),
 )
 
-KINDS: dict[Kind, str] = {
-    Kind.MODE: "change of mode; a: from, b: to (see modes), value: why, limit: safe frames sent before it",
-    Kind.TRIP: "a limit trips; a: fault (see faults), b: action, value and limit in the fault's unit",
-    Kind.RESET: "a latched fault was acknowledged; a: fault",
-    Kind.START_ANEW: "a reset of the silence: the loop ends, the next one starts all devices up; a: fault",
-    Kind.EMERGENCY: "emergency message of a device (CiA 301); a: node, b: code + 65536 x error register, "
-    "text: the manufacturer's bytes; a code 0x00xx with register 0 when it is over",
-    Kind.NODE_STATE: "state of a device changed; a: node, b: NMT state (CiA 301)",
-    Kind.EXCEPTION: "exception in the loop, which holds; text: what and where",
-    Kind.BUS_ERROR: "CAN error frame; a: error class bits, b: details",
-    Kind.SEND_FAILED: "a frame could not be sent; text: why",
-    Kind.STARTED: "the loop runs",
-    Kind.STOPPED: "the loop ended; value: stroke in mm, limit: tension in N",
-    Kind.HOLD_SOCKET_CLOSED: "a user's socket for HOLD is read no more: he sent a descriptor; a: user id, b: process",
-    Kind.LOCAL_HOLD: "HOLD was taken from the local socket; a: user id, b: process, text: operator; see the MODE event",
-    Kind.CLOCK: "the loop could not keep its rate; a: ticks skipped at once",
-    Kind.CORRECTION: "tare or calibration in force; value: zero in N, limit: scale",
-    Kind.NO_MARGINS: "a minute of COMPENSATING gave no margins; a: why (0 other, 1 command limited, 2 ticks skipped, "
-    "3 multisine too weak, 4 multisine not at its level)",
-    Kind.MARGINS_DIFFER: "the sensitivity measured in the last minute is not one of the design's family; value: |S| as "
-    "measured, limit: the nearest predicted",
-    Kind.LOAD_STEP: "part of a record of the cell's creep; a: samples, b: temperature of the cell in mK, 0 for not "
-    "known, value: their mean reading in N, limit: their mean time after the load's step in s, negative before it, "
-    "text: rms in N",
-    Kind.SECOND_FORCE: "zero and scale of the second force path in force; value: zero in N, limit: scale",
-    Kind.CREEP: "creep of the cell taken out from now on; a: 1 the load's history is known, 0 it is taken as always "
-    "the present load, value: whole share of the load, text: shares and time constants in s",
-    Kind.GAINS: "gains changed; text: K_T, K_v, K_i now in force",
-    Kind.LIMIT: "a limit that only logs is exceeded; a: fault (LIMIT: of the rig file), b: action, value, limit",
-    Kind.LIMIT_OVER: "such a limit is kept again; as limit, value: null where it is not watched any more",
-    Kind.CAUSE: "a further cause of a fault stands; as trip",
-    Kind.CAUSE_OVER: "a cause of a fault is gone; as trip",
-    Kind.RECEIVE_FAILED: "the bus could not be read; text: why",
-    Kind.FOREIGN_SDO: "another master speaks to a device; a: node, b: object (index << 8 | sub-index), text: what",
-    Kind.SETTING_LOST: "a device does not keep an object as start-up wrote it; a, b: as foreign_sdo, value: found, "
-    "null for no answer, limit: wanted",
-    Kind.READ_BACK: "the devices' settings were read back before arming; a: how many, value: how long it took in s",
-    Kind.STROKE: "whether the drive's position is believed; a: 1 it is, 0 not, value: it in mm, limit: the last one "
-    "known in mm, null for none, text: why",
-    Kind.BRAKE_FLAG: "the brake is known not to hold (a: 1), or holds again (0); value: tension in N, text: why",
-    Kind.WITNESS: "the operator has named what the motor carries the load by; a: 1 encoder, 2 cell, text: command",
-    Kind.ENDING: "an end that a load delays; a: 1 the motor goes on carrying, 2 it lowers the load, 3 it has lowered "
-    "it, 4 a second signal leaves the load, 5 the motor has it no more, 6 it is not lowered in time; value: of 1 the "
-    "time until it is lowered, from 3 on that since the request, both in s, limit: tension in N",
-    Kind.BRAKE_TEST: "brake test at arm; a: 1 held, 0 rope slack; value: stroke moved in mm, limit: tension in N",
-    Kind.STROKE_LEFT: "a stroke that is to stay left its latch; a: mode, value: distance in mm, limit: what is told",
-    Kind.DRIVE_CREEPS: "the drive creeps when told 0, and is corrected; value: creep in mm/s, limit: what is told",
-    Kind.ESCALATION: "the reaction to a fault did not help; a: fault, b: symptom, value and limit in its unit",
-    Kind.MOVE: "a marked move begins; a: its number, 0 it has ended, b: moves its table was learnt from",
-    Kind.LEARNT: "learnt from a move; a: number, b: moves so far, value: its rms error in N, limit: the first's",
-    Kind.NOT_LEARNT: "a move taught nothing; as learnt, text: why; b 0: its table is dropped",
-    Kind.HELD: "what carries the load has changed; a: from, b: to, see held_by, value: longest time in s for which the "
-    "motor holds, 0: hold.park_s, text: the command that needs it, or the mode",
-    Kind.POWER_OFF: "a power off is confirmed, or is not in time; a: see power_off, value: s since the command",
-    Kind.LOAD_AT_REST: "on the closed brake the load has begun to move, is not seen any more, or is at rest again; "
-    "a: from, b: to, see load_at_rest, text: the mode",
-    Kind.FOUND_AT_START: "what a former controller had left in the drive; a: node, b: index << 8, value: it, limit: as "
-    "start-up has left it; of 0x6041 the drive's state",
-    Kind.SIGNS: "first tensioning: signs checked; a: 1 where the stiffness is off and nothing else checks the cell's "
-    "scale, value: stiffness found in N/mm, limit: the plant's",
-}
+KINDS: dict[Kind, str] = {kind: kind.sentence for kind in Kind}
 NOTES: dict[Note, str] = {
     Note.LEASE_TAKEN: "operator takes the lease",
     Note.LEASE_TAKEN_OVER: "operator takes the lease from other, for reason",

@@ -11,6 +11,7 @@ import pytest
 from hil.faults.catalogue import BY_ID
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
+from rigctl.model.event_row import Priority
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
 from rigctl.model.states import Mode
@@ -18,7 +19,7 @@ from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.operator_panel import answers
 from rigctl.wire import state_words
 from rigctl.wire.alarm_words import listed
-from rigctl.wire.alarms import Priority, as_message
+from rigctl.wire.alarms import as_message
 from rigctl.wire.operator_view import view
 from tests.loop.test_causes import Shown
 

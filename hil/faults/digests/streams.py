@@ -20,9 +20,7 @@ from rigctl.ipc.record import Flag, Quality
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.reactions import Action, Symptom
-from rigctl.model.states import EndStep, Event, HeldBy, LoadAtRest, Mode, PowerOff
-from rigctl.model.unmeasured import Unmeasured
+from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal
 
 Digests = dict[str, dict[str, str]]
@@ -38,15 +36,16 @@ _RECORD: dict[str, type[IntEnum | IntFlag]] = {
     "mode": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest, "fault": Fault, "flags": Flag,
     "checks": Check, **_QUALITY, **_VERDICTS,
 }  # fmt: skip
-_TRIP: dict[str, type[IntEnum]] = {"a": Fault, "b": Action}
-_HELD: dict[str, type[IntEnum]] = {"a": HeldBy, "b": HeldBy}
+_BY_NUMBER = {(Kind.NODE_STATE, "b"), (Kind.WITNESS, "a")}
+"""Values of events that are hashed as numbers though they are members of an enumeration: no member of it is renamed."""
 _EVENT: dict[Kind, dict[str, type[IntEnum]]] = {
-    Kind.MODE: {"a": Mode, "b": Mode, "value": Event}, Kind.TRIP: _TRIP, Kind.LIMIT: _TRIP, Kind.LIMIT_OVER: _TRIP,
-    Kind.CAUSE: _TRIP, Kind.CAUSE_OVER: _TRIP, Kind.RESET: {"a": Fault}, Kind.START_ANEW: {"a": Fault},
-    Kind.STROKE_LEFT: {"a": Mode}, Kind.ESCALATION: {"a": Fault, "b": Symptom}, Kind.HELD: _HELD,
-    Kind.POWER_OFF: {"a": PowerOff}, Kind.LOAD_AT_REST: {"a": LoadAtRest, "b": LoadAtRest},
-    Kind.NO_MARGINS: {"a": Unmeasured}, Kind.ENDING: {"a": EndStep},
-}  # fmt: skip
+    kind: {
+        field.slot: field.members
+        for field in kind.fields
+        if field.members is not None and (kind, field.slot) not in _BY_NUMBER
+    }
+    for kind in Kind
+}
 _CAUSE_BITS = "cause_bits"
 _PLACE = re.compile(rb" in [\w<>]+:\d+(?=: )")
 """Where an exception was raised, which a moved line changes."""

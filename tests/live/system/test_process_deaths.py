@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from rigctl.wire.alarms import Priority
+from rigctl.model.event_row import Priority
 from tests.builders import daemons
 from tests.builders.waiting import until
 

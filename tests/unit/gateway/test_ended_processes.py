@@ -12,7 +12,8 @@ from rigctl.gateway.lease_service import IN_FORCE, LeaseService
 from rigctl.ipc.notes import Note, note_message
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.ipc.supervision import Doing, Supervision
-from rigctl.wire.alarms import Alarms, Priority
+from rigctl.model.event_row import Priority
+from rigctl.wire.alarms import Alarms
 from tests.builders.paths import ROOT
 
 S = 1_000_000_000

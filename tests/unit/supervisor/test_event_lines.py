@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from rigctl.ipc.record import EVENT
-from rigctl.model.events import Kind
-from rigctl.model.faults import EACH_SECOND
+from rigctl.model.events import EACH_SECOND, Kind
 from rigctl.supervisor.event_lines import AGAIN_NS, KEPT, EventLines
 
 S = 1_000_000_000

@@ -12,23 +12,14 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file
 from rigctl.ipc.notes import Note
 from rigctl.ipc.notes import worded as worded_note
+from rigctl.model.event_row import Priority
 from rigctl.model.events import Kind, worded
 from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, Trait
 from rigctl.model.reactions import Action
 from rigctl.model.states import EndStep
 from rigctl.wire.alarm_words import alarm_rows, block, in_brief, listed, standing, tally
-from rigctl.wire.alarms import (
-    CHATTERING_NS,
-    LONGEST_SHELF_S,
-    LOOP_SILENT,
-    ROWS,
-    Alarms,
-    Priority,
-    as_message,
-    cause_of,
-    figure,
-)
+from rigctl.wire.alarms import CHATTERING_NS, LONGEST_SHELF_S, LOOP_SILENT, ROWS, Alarms, as_message, cause_of, figure
 from tests.builders.paths import ROOT
 
 S = 1_000_000_000

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from rigctl.diagnosis.diagnose import Culprit
+from rigctl.model.event_row import Priority
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
 from rigctl.wire.alarm_words import alarm_rows, culprit_rows, listed
-from rigctl.wire.alarms import Alarm, Priority
+from rigctl.wire.alarms import Alarm
 from rigctl.wire.operator_view import view
 from rigctl.wire.state_message import culprit_of
 from tests.builders.offered import offered
