@@ -17,7 +17,8 @@ from hil.faults.lockstep_run import Run
 from rigctl.config.settings import RigSettings
 from rigctl.diagnosis.diagnose import Culprit, diagnose
 from rigctl.diagnosis.part import AT_THE_LOAD, LOAD_IS_LOOSE
-from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, around, noted, trips
+from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, around, trips
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 
@@ -64,7 +65,7 @@ class RecordedRow:
     @property
     def t_ns(self) -> int:
         """Time of the first trip; 0 without one."""
-        found = trips(noted(self.events))
+        found = trips(LoopEvent.of_slots(self.events))
         return found[0].t_ns if found else 0
 
     def save(self, file: pathlib.Path) -> None:
@@ -80,7 +81,7 @@ class RecordedRow:
 
 def recorded(run: Run, fault: InjectedFault) -> RecordedRow:
     """What a diagnosis sees of a run: its first trip, or its last one where commands are part of the fault."""
-    found = trips(noted(run.events))
+    found = trips(LoopEvent.of_slots(run.events))
     if not found:
         return RecordedRow(run.records[:0], run.events[:0])
     trip = found[-1] if fault.ends_elsewhere else found[0]
@@ -92,7 +93,7 @@ def recorded(run: Run, fault: InjectedFault) -> RecordedRow:
 
 def culprit(row: RecordedRow, settings: RigSettings, *, last: bool = False) -> Culprit | None:
     """The culprit of a recorded row; None where nothing tripped. ``last``: of its last trip instead of the first."""
-    events = noted(row.events)
+    events = LoopEvent.of_slots(row.events)
     found = trips(events)
     if not found:
         return None

@@ -204,6 +204,7 @@ class _Event(msgspec.Struct):
     value: Real | None = None
     limit: Real | None = None
     about: Line = ""
+    fields: dict[Word, Line | Real | bool | None] = {}
     operator: Line = ""
     other: Line = ""
     reason: Line = ""

@@ -10,25 +10,19 @@ import numpy.typing as npt
 from rigctl.control.logbook import ZERO_C_K
 from rigctl.control.trials import LoadBin
 from rigctl.model.events import Kind
+from rigctl.model.loop_event import LoopEvent
 
 
 def bins_of(events: npt.NDArray[Any]) -> list[LoadBin]:
     """Parts of the newest record: of those before its step only the last."""
     found: list[LoadBin] = []
-    for event in events[events["kind"] == Kind.LOAD_STEP]:
-        kelvin, after_s = int(event["b"]) * 1e-3, float(event["limit"])
-        text = bytes(event["text"]).rstrip(b"\0").decode(errors="replace")
+    for event in LoopEvent.of_slots(events[events["kind"] == Kind.LOAD_STEP]):
+        fields = event.fields
+        kelvin, after_s = fields["cell_mk"] * 1e-3, fields["after_s"]
         if after_s <= 0.0 or (found and after_s < found[-1].after_s):
             found.clear()
-        found.append(
-            LoadBin(
-                int(event["a"]),
-                float(event["value"]),
-                _number(text),
-                after_s,
-                kelvin - ZERO_C_K if kelvin else math.nan,
-            )
-        )
+        cell_c = kelvin - ZERO_C_K if kelvin else math.nan
+        found.append(LoadBin(fields["samples"], fields["mean_n"], _number(fields["rms_n"]), after_s, cell_c))
     return found
 
 

@@ -54,14 +54,15 @@ def diagnose(window: TripWindow) -> Culprit:
 def _words(window: TripWindow, found: Residuals) -> str:
     trip = window.trip
     if trip.kind == Kind.EXCEPTION:
-        return trip.text
-    return lasting(fault_text(found.fault, trip.value, trip.limit, trip.text))
+        return found.text
+    return lasting(fault_text(found.fault, trip.fields["value"], trip.fields["limit"], found.text))
 
 
 def _follow(window: TripWindow, found: Residuals) -> tuple[str, ...]:
     """Names of the causes that came with or after the trip, in their order, the trip's own fault first."""
     names = [found.fault.name]
     for event in window.events:
-        if event.kind == Kind.CAUSE and event.t_ns >= window.trip.t_ns and event.a in list(Fault):
-            names.append(Fault(event.a).name)
+        fault = event.fields["fault"] if event.kind is Kind.CAUSE else None
+        if isinstance(fault, Fault) and event.t_ns >= window.trip.t_ns:
+            names.append(fault.name)
     return tuple(dict.fromkeys(names))

@@ -9,8 +9,9 @@ import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
 from rigctl.diagnosis.diagnose import Culprit, diagnose
-from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, Noted, around, latched, noted
+from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, around, latched
 from rigctl.ipc.ring import RingReader
+from rigctl.model.loop_event import LoopEvent
 
 AGAIN_NS = 200_000_000
 """Between two looks while the signals after the trip still come."""
@@ -22,14 +23,14 @@ class LatchedCulprit:
     def __init__(self, records: RingReader, settings: RigSettings) -> None:
         """``records``: a reader of its own."""
         self._records, self._settings = records, settings
-        self._events: list[Noted] = []
+        self._events: list[LoopEvent] = []
         self._found: Culprit | None = None
-        self._trip: Noted | None = None
+        self._trip: LoopEvent | None = None
         self._due_ns = 0
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Take new events."""
-        self._events += noted(events)
+        self._events += LoopEvent.of_slots(events)
         trip = latched(self._events)
         if trip != self._trip:
             self._trip, self._found, self._due_ns = trip, None, 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rigctl.model.events import EACH_SECOND
 from rigctl.model.faults import Fault, Trait
+from rigctl.model.parts import Part
 from rigctl.model.signals import WATCHED
 
 AT_THE_LOAD = frozenset({Part.CELL, Part.AMPLIFIER, Part.SECOND_FORCE, Part.INCLINOMETER})

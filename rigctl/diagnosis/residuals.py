@@ -20,6 +20,7 @@ from rigctl.model import emergency
 from rigctl.model.device_states import NmtState
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, Trait
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.reactions import Symptom
 from rigctl.model.states import HeldBy, Mode
 
@@ -120,11 +121,11 @@ class Residuals:
 def residuals(window: TripWindow) -> Residuals:
     """All residuals of a window."""
     trip, settings = window.trip, window.settings
-    fault = Fault.LOOP_EXCEPTION if trip.kind == Kind.EXCEPTION else _fault(trip.a)
+    fault = Fault.LOOP_EXCEPTION if trip.kind == Kind.EXCEPTION else _fault(trip.fields["fault"])
     near = [event for event in window.events if abs(event.t_ns - trip.t_ns) <= _NEAR_NS]
-    causes = {_fault(e.a) for e in near if e.kind in (Kind.TRIP, Kind.CAUSE)} | {fault}
+    causes = {_fault(e.fields["fault"]) for e in near if e.kind in (Kind.TRIP, Kind.CAUSE)} | {fault}
     figures: dict[str, object] = {
-        "fault": fault, "text": trip.text, "causes": frozenset(causes), "slack_n": settings.tension.slack_n,
+        "fault": fault, "text": _seen(trip), "causes": frozenset(causes), "slack_n": settings.tension.slack_n,
         "stiffness_n_mm": settings.plant.stiffness_n_mm, "mode": None,
         **_devices(window), "device": _named(window, fault),
     }  # fmt: skip
@@ -134,11 +135,13 @@ def residuals(window: TripWindow) -> Residuals:
     return Residuals(**figures)  # type: ignore[arg-type]
 
 
-def _fault(number: int) -> Fault:
-    try:
-        return Fault(number)
-    except ValueError:
-        return Fault.NONE
+def _fault(found: Fault | int) -> Fault:
+    return found if isinstance(found, Fault) else Fault.NONE
+
+
+def _seen(trip: LoopEvent) -> str:
+    """The loop's own words of a trip, or of the exception that stands for one."""
+    return str(trip.fields["error" if trip.kind is Kind.EXCEPTION else "seen"])
 
 
 def _devices(window: TripWindow) -> dict[str, object]:
@@ -150,23 +153,23 @@ def _devices(window: TripWindow) -> dict[str, object]:
     for event in window.events:
         if event.t_ns < trip_ns - _NEAR_NS:
             continue
-        name = names.get(event.a, "")
+        name = names.get(event.fields.get("node", 0), "")
         if event.kind == Kind.NODE_STATE and event.t_ns <= trip_ns + _NEAR_NS:
-            if event.b == NmtState.BOOT_UP:
+            if event.fields["state"] == NmtState.BOOT_UP:
                 booted.add(name)
-            elif event.b != NmtState.OPERATIONAL and event.t_ns <= trip_ns + _SHORTLY_NS:
+            elif event.fields["state"] != NmtState.OPERATIONAL and event.t_ns <= trip_ns + _SHORTLY_NS:
                 left.add(name)
-        elif event.kind == Kind.EMERGENCY and emergency.stands(event.b & 0xFFFF, event.b >> 16 & 0xFF):
+        elif event.kind == Kind.EMERGENCY and emergency.stands(event.fields["code"], event.fields["register"]):
             if event.t_ns <= trip_ns + _SHORTLY_NS:
                 reported.add(name)
-                about_bus |= event.b >> 8 & 0xFF == _COMMUNICATION
+                about_bus |= event.fields["code"] >> 8 == _COMMUNICATION
         elif event.kind in (Kind.BUS_ERROR, Kind.SEND_FAILED, Kind.RECEIVE_FAILED):
             about_bus |= event.t_ns <= trip_ns + _SHORTLY_NS
         elif event.kind == Kind.FOREIGN_SDO:
             foreign |= event.t_ns <= trip_ns + _SHORTLY_NS
         elif event.kind == Kind.ESCALATION:
-            unanswered |= event.b in (Symptom.STOP_UNANSWERED, Symptom.OFF_UNANSWERED)
-    rival = any(e.kind in (Kind.TRIP, Kind.CAUSE) and e.a == Fault.RIVAL and e.t_ns <= trip_ns + _NEAR_NS
+            unanswered |= event.fields["symptom"] in (Symptom.STOP_UNANSWERED, Symptom.OFF_UNANSWERED)
+    rival = any(e.kind in (Kind.TRIP, Kind.CAUSE) and e.fields["fault"] is Fault.RIVAL and e.t_ns <= trip_ns + _NEAR_NS
                 for e in window.events)  # fmt: skip
     return {
         "booted": frozenset(booted), "left": frozenset(left - booted), "reported": frozenset(reported),
@@ -181,11 +184,11 @@ _COMMUNICATION = 0x81
 def _named(window: TripWindow, fault: Fault) -> str:
     """The device that the trip's own text, node or fault is about; "" for none."""
     names = {node: name for name, node in window.settings.canopen_nodes.items()}
-    value = window.trip.value
     if Trait.EMERGENCY in fault.traits:
+        value = window.trip.fields["value"]
         return names.get(int(value) >> 16, "") if math.isfinite(value) else ""  # of a damaged recording it may be any
     for node, name in names.items():
-        if f"node {node}" in window.trip.text:
+        if f"node {node}" in _seen(window.trip):
             return name
     return _OF_FAULT.get(fault, "")
 

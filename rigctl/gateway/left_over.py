@@ -19,6 +19,7 @@ from rigctl.ipc.correction import creep_text
 from rigctl.ipc.ledger import Entry, Standing, in_force
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.events import Kind
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.verbs import Setting, SettingOrder
 
 InForce = tuple[float, float, str]
@@ -42,13 +43,14 @@ class LeftOver:
 
 def loop_has(settings: RigSettings, runtime: Runtime) -> InForce:
     """What the loop uses, from its newest CORRECTION and CREEP events; without such events what was last in force."""
-    events = runtime.events.reader(from_start=True).read()
+    slots = runtime.events.reader(from_start=True).read()
     zero_n, scale, creep = _of(settings, in_force(runtime))
-    corrections, creeps = (events[events["kind"] == kind] for kind in (Kind.CORRECTION, Kind.CREEP))
-    if len(corrections):
-        zero_n, scale = float(corrections["value"][-1]), float(corrections["limit"][-1])
-    if len(creeps) and settings.compensation is not None and settings.compensation.creep:
-        creep = bytes(creeps["text"][-1]).rstrip(b"\0").decode(errors="replace")
+    reported = slots[(slots["kind"] == Kind.CORRECTION) | (slots["kind"] == Kind.CREEP)]
+    newest = {event.kind: event.fields for event in LoopEvent.of_slots(reported)}
+    if Kind.CORRECTION in newest:
+        zero_n, scale = (float(newest[Kind.CORRECTION][name]) for name in ("zero_n", "scale"))
+    if Kind.CREEP in newest and settings.compensation is not None and settings.compensation.creep:
+        creep = newest[Kind.CREEP]["terms"]
     return zero_n, scale, creep
 
 

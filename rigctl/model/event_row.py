@@ -30,6 +30,15 @@ class EventField(NamedTuple):
         return unit_of(self.name)
 
     @property
+    def json(self) -> str:
+        """Its type in JSON."""
+        if self.of is bool:
+            return "boolean"
+        if self.members is not None or self.slot == "text":
+            return "string"
+        return "integer" if self.slot in ("a", "b") else "number?"
+
+    @property
     def members(self) -> type[IntEnum] | None:
         """The enumeration, None for another field."""
         return self.of if self.of is not None and issubclass(self.of, IntEnum) else None

@@ -6,7 +6,6 @@ import heapq
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import Any
 
 import numpy as np
@@ -18,10 +17,7 @@ from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model import quantity
 from rigctl.model.check_words import failed_checks
-from rigctl.model.events import Kind
-from rigctl.model.faults import Fault
 from rigctl.model.quantity import significant
-from rigctl.model.reactions import Action
 from rigctl.model.states import Mode
 from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 from rigctl.recorder.audit_log import Item
@@ -46,23 +42,7 @@ def _event(slot: np.void) -> Words:
     severity, message = event_message(slot, 0)
     numbers = {name: _number(slot, name) for name in ("value", "limit")}
     details = {"severity": severity, "a": message["a"], "b": message["b"], **numbers, "about": message["about"]}
-    return message["kind"].lower(), "", message["text"], details | _names(slot)
-
-
-def _names(slot: np.void) -> dict[str, str]:
-    """Names for ``a`` and ``b`` of an event."""
-    return {word: name_of(kind, int(slot[field])) for field, (word, kind) in _NAMED.get(int(slot["kind"]), {}).items()}
-
-
-_TRIPPED: dict[str, tuple[str, type[IntEnum]]] = {"a": ("fault", Fault), "b": ("action", Action)}
-_NAMED: dict[int, dict[str, tuple[str, type[IntEnum]]]] = {
-    Kind.MODE: {"a": ("from", Mode), "b": ("to", Mode)},
-    Kind.TRIP: _TRIPPED,
-    Kind.LIMIT: _TRIPPED,
-    Kind.LIMIT_OVER: _TRIPPED,
-    Kind.RESET: {"a": ("fault", Fault)},
-    Kind.START_ANEW: {"a": ("fault", Fault)},
-}
+    return message["kind"].lower(), "", message["text"], details | message["fields"]
 
 
 def _note(slot: np.void) -> Words:

@@ -20,13 +20,14 @@ import numpy.typing as npt
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
 from rigctl.diagnosis.diagnose import diagnose
-from rigctl.diagnosis.window import around, noted
+from rigctl.diagnosis.window import around
 from rigctl.diagnosis.window import trips as first_trips
 from rigctl.ipc import whole_file
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.states import Event, Mode
 from rigctl.recorder import part_seal, parts
 from rigctl.recorder.mcap_file import ATTACHED, FORMAT, McapFile, slot_readers
@@ -75,13 +76,14 @@ class Group:
 def triggers(events: npt.NDArray[np.void]) -> list[Trigger]:
     """Trips, and their changes to FAULT, because an exception in the loop leads to FAULT without a trip."""
     found = []
-    for slot in events:
-        seq, t_ns, kind, a, b = (int(slot[name]) for name in ("seq", "t_ns", "kind", "a", "b"))
-        if kind == Kind.TRIP:
-            known = a in Fault._value2member_map_
-            found.append(Trigger(seq, t_ns, Fault(a).name if known else f"FAULT_{a}"))
-        elif kind == Kind.MODE and b == Mode.FAULT and slot["value"] == Event.TRIP:
-            found.append(Trigger(seq, t_ns, ""))
+    for event in LoopEvent.of_slots(events):
+        fields = event.fields
+        if event.kind is Kind.TRIP:
+            fault = fields["fault"]
+            name = fault.name if isinstance(fault, Fault) else f"FAULT_{fault}"
+            found.append(Trigger(event.seq, event.t_ns, name))
+        elif event.kind is Kind.MODE and fields["to"] == Mode.FAULT and fields["why"] == Event.TRIP:
+            found.append(Trigger(event.seq, event.t_ns, ""))
     return found
 
 
@@ -199,7 +201,7 @@ class Trips:
         """The part that the first trip is about, as the running rig names it; empty for one whose event is lost."""
         events = self._runtime.events.reader(from_start=True)
         events.seek(group.start_ns)
-        known = noted(events.read())
+        known = LoopEvent.of_slots(events.read())
         trip = next((trip for trip in first_trips(known) if trip.t_ns >= group.triggers[0].t_ns), None)
         if trip is None or trip.t_ns > group.end_ns:
             return {}

@@ -7,8 +7,9 @@ from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
 from rigctl.diagnosis.diagnose import Culprit, diagnose
-from rigctl.diagnosis.window import Noted, around, trips
+from rigctl.diagnosis.window import around, trips
 from rigctl.model.events import Kind
+from rigctl.model.loop_event import LoopEvent
 from rigctl.recorder.recording import Recording, Said
 
 
@@ -28,7 +29,7 @@ def culprits(recording: Recording, settings: RigSettings) -> list[RecordedCulpri
     ]
 
 
-def _noted(said: Iterable[Said]) -> Iterable[Noted]:
+def _noted(said: Iterable[Said]) -> Iterable[LoopEvent]:
     """Recorded events as the loop wrote them."""
     for item in said:
         kind = Kind.__members__.get(item.what.upper())
@@ -36,7 +37,7 @@ def _noted(said: Iterable[Said]) -> Iterable[Noted]:
             details = item.details
             a, b, value, limit = (details.get(name) for name in ("a", "b", "value", "limit"))
             about = str(details.get("about", ""))
-            yield Noted(item.t_ns, kind, _whole(a), _whole(b), _real(value), _real(limit), about)
+            yield LoopEvent.of(item.t_ns, kind, _whole(a), _whole(b), _real(value), _real(limit), about)
 
 
 def _whole(found: object) -> int:

@@ -30,6 +30,13 @@ LOOP_EVENT: Rows = (
     ("value", "number?", "", "what was found, in the unit its kind or fault has"),
     ("limit", "number?", "", "what is allowed, in the same unit"),
     ("about", "string", "", "the loop's own words, see the kind: of a limit, the row of the rig file"),
+    (
+        "fields",
+        "object",
+        "",
+        "the same by the names of kind_fields: a member of an enumeration by its name, null for a number that is none; "
+        "empty for an unknown kind",
+    ),
 )
 GATEWAY_EVENT: Rows = (
     *_EVENT_COMMON,
@@ -39,6 +46,9 @@ GATEWAY_EVENT: Rows = (
 )
 
 KINDS: dict[Kind, str] = {kind: kind.sentence for kind in Kind}
+KIND_FIELDS: dict[Kind, Rows] = {
+    kind: tuple((field.name, field.json, field.unit, field.meaning) for field in kind.fields) for kind in Kind
+}
 NOTES: dict[Note, str] = {
     Note.LEASE_TAKEN: "operator takes the lease",
     Note.LEASE_TAKEN_OVER: "operator takes the lease from other, for reason",

@@ -24,6 +24,7 @@ from rigctl.wire.meanings import (
     ALARM_PAYLOAD,
     ANSWER,
     GATEWAY_EVENT,
+    KIND_FIELDS,
     KINDS,
     LEASE_PAYLOAD,
     LOOP_EVENT,
@@ -121,7 +122,11 @@ def schema(rig: str, person: str = "") -> dict[str, Any]:
         "events": {
             "keys": {severity: keys.event(severity) for severity in SEVERITIES},
             "sources": {
-                "loop": {"fields": _rows(LOOP_EVENT), "kinds": {kind.name: text for kind, text in KINDS.items()}},
+                "loop": {
+                    "fields": _rows(LOOP_EVENT),
+                    "kinds": {kind.name: text for kind, text in KINDS.items()},
+                    "kind_fields": {kind.name: _rows(rows) for kind, rows in KIND_FIELDS.items()},
+                },
                 "gateway": {"fields": _rows(GATEWAY_EVENT), "kinds": {note.name: text for note, text in NOTES.items()}},
             },
             "missed": f"get {keys.events_past}?after=SEQ;after_note=SEQ answers a list of those still held: of the "

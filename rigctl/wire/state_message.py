@@ -22,6 +22,7 @@ from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault, faults_of, lasting
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.parts import Part
 from rigctl.model.reactions import Action
 from rigctl.model.signals import NEVER_AGE_NS
@@ -79,9 +80,9 @@ class TripEvents:
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Take the trips among new events."""
-        for event in events[events["kind"] == Kind.TRIP]:
-            text = bytes(event["text"]).decode(errors="replace")
-            self._trips[int(event["a"])] = float(event["value"]), float(event["limit"]), text
+        for event in LoopEvent.of_slots(events[events["kind"] == Kind.TRIP]):
+            found = event.fields
+            self._trips[int(found["fault"])] = found["value"], found["limit"], found["seen"]
 
     def text(self, fault: int) -> str:
         """The latched fault in words."""
@@ -116,16 +117,16 @@ class Causes:
 
     def note(self, events: npt.NDArray[Any]) -> None:
         """Take new events."""
-        for event in events[np.isin(events["kind"], _OF_CAUSES)]:
-            kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-            fault, action = int(event["a"]), int(event["b"])
-            key = fault, action, float(event["limit"]), "" if fault in self._worded else text
-            if kind == Kind.STARTED:
+        for event in LoopEvent.of_slots(events[np.isin(events["kind"], _OF_CAUSES)]):
+            if event.kind is Kind.STARTED:
                 self._since.clear()
-            elif kind == Kind.CAUSE_OVER:
+                continue
+            fault, action, value, limit, seen = (event.fields[name] for name in _OF_CAUSE)
+            key = int(fault), int(action), float(limit), "" if fault in self._worded else seen
+            if event.kind is Kind.CAUSE_OVER:
                 self._since.pop(key, None)
             else:
-                self._since.setdefault(key, Cause(int(event["t_ns"]), float(event["value"]), text))
+                self._since.setdefault(key, Cause(event.t_ns, float(value), seen))
 
     def of(self, record: np.void, wall_ns: int) -> list[dict[str, Any]]:
         """Causes that stand at a record, the strongest first, then in the table's order.
@@ -144,6 +145,7 @@ class Causes:
         return [_cause(row, cause, wall_ns) for row, cause in found]
 
 
+_OF_CAUSE = "fault", "action", "value", "limit", "seen"
 _OF_CAUSES = (Kind.STARTED, Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER)
 
 
@@ -178,7 +180,7 @@ class CheckDetails:
     def read(self) -> Mapping[Check, str]:
         """The details by check; they apply only while the check fails."""
         with self._lock:
-            for event in self._events.read():
+            for event in LoopEvent.of_slots(self._events.read()):
                 self._note(event)
             return dict(self._words)
 
@@ -187,16 +189,16 @@ class CheckDetails:
         """Time, count and duration of the last complete read-back without a difference; None before the first."""
         return self._read_back
 
-    def _note(self, event: np.void) -> None:
-        kind, text = int(event["kind"]), bytes(event["text"]).decode(errors="replace")
-        if kind == Kind.STARTED:  # what is known belongs to the loop before
+    def _note(self, event: LoopEvent) -> None:
+        found = event.fields
+        if event.kind is Kind.STARTED:  # what is known belongs to the loop before
             self._words, self._read_back = {}, None
-        elif kind == Kind.SETTING_LOST:
-            self._words[Check.DRIVE_SUPERVISION] = setting_words(text)
-        elif kind == Kind.STROKE and not event["a"]:
-            self._words[Check.STROKE_UNCONFIRMED] = stroke_words(float(event["value"]), text)
-        elif kind == Kind.READ_BACK:
-            self._read_back = {"t_ns": int(event["t_ns"]), "settings": int(event["a"]), "took_s": float(event["value"])}
+        elif event.kind is Kind.SETTING_LOST:
+            self._words[Check.DRIVE_SUPERVISION] = setting_words(found["setting"])
+        elif event.kind is Kind.STROKE and not found["believed"]:
+            self._words[Check.STROKE_UNCONFIRMED] = stroke_words(found["stroke_mm"], found["why"])
+        elif event.kind is Kind.READ_BACK:
+            self._read_back = {"t_ns": event.t_ns, "settings": found["settings"], "took_s": float(found["took_s"])}
 
 
 def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: int, wall_ns: int) -> dict[str, Any]:

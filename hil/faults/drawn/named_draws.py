@@ -15,8 +15,9 @@ from hil.lockstep import lockstep
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
-from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, noted, trips
+from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, trips
 from rigctl.ipc.record import EVENT
+from rigctl.model.loop_event import LoopEvent
 from rigctl.model.states import Mode
 
 LONGEST_S = 8.0
@@ -75,13 +76,13 @@ def _until_diagnosed(run: CourseRun, draw: Draw) -> RecordedRow:
         if ticks % _LOOK_EVERY == 0:
             records.append(rig.read_records())
             events.append(rig.events.read())
-            if found := trips(noted(np.concatenate(events))):
+            if found := trips(LoopEvent.of_slots(np.concatenate(events))):
                 end_ns = min(end_ns, found[0].t_ns + AFTER_NS)
     records.append(rig.read_records())
     events.append(rig.events.read())
     every, said = np.concatenate(records), np.concatenate(events)
     _, first = np.unique(every["seq"], return_index=True)
     every = every[first]
-    if found := trips(noted(said)):
+    if found := trips(LoopEvent.of_slots(said)):
         every = every[every["t_ns"] >= found[0].t_ns - BEFORE_NS]
     return RecordedRow(every, said)

@@ -22,7 +22,7 @@ DAY = 86_400 * S
 TRUE_NS = 1_795_000_000 * S  # a day in 2026
 POLL_NS = S // 2
 DRAWS, BLOCK = 200, 10
-KEPT_MB, PART_MB, DUMPS = 0.45, 0.08, 2
+KEPT_MB, PART_MB, DUMPS = 0.54, 0.1, 2
 """Four or five parts, which are small without records, and the dumps of the newest trips."""
 FAULTS = (Fault.RIVAL, Fault.CELL_STALE, Fault.E_STOP)
 STARTS: dict[str, Callable[[random.Random], int]] = {

@@ -57,6 +57,8 @@ def test_every_kind_of_event_and_every_note_is_there_with_its_fields() -> None:
     assert set(loop["kinds"]) == {kind.name for kind in Kind}
     assert set(gateway["kinds"]) == {note.name for note in Note}
     assert all([*loop["kinds"].values(), *gateway["kinds"].values()])
+    named = {kind: described(rows) for kind, rows in loop["kind_fields"].items()}
+    assert named == {kind.name: {field.name for field in kind.fields} for kind in Kind}
     event = event_message(np.zeros(1, EVENT.dtype)[0], 0)[1]
     note = note_message(np.zeros(1, NOTE.dtype)[0], 0)[1]
     assert described(loop["fields"]) == {*event, "stream"}
