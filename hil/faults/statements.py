@@ -17,8 +17,7 @@ from hil.faults.lockstep_run import Floats, RecordedTruth
 from hil.lockstep import WORK_NS
 from rigctl.config.settings import RigSettings
 from rigctl.control.brake_flag import FALLS_NS
-from rigctl.ipc.record import Flag
-from rigctl.model.states import REST_S, HeldBy, LoadAtRest, PowerOff
+from rigctl.model.states import REST_S, Flag, HeldBy, LoadAtRest, PowerOff
 
 Bools = npt.NDArray[np.bool_]
 

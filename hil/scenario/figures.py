@@ -11,9 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.scenario.play import Played
-from rigctl.ipc.record import Flag
 from rigctl.metrics.tension_error import error_pct
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 
 Floats = npt.NDArray[np.float64]
 Values = dict[str, float | None]

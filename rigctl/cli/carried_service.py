@@ -6,9 +6,9 @@ import time
 
 from rigctl.config import layout
 from rigctl.ipc.folder_places import daemon_pid
-from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import FolderError, Runtime
+from rigctl.model.states import Flag
 
 ALIVE_NS = 1_000_000_000
 """A loop whose newest record is older commands no motor any more."""

@@ -25,8 +25,8 @@ import numpy.typing as npt
 from rigctl.commission.identification import PITCH_SHARE, IdentificationError, student_t
 from rigctl.commission.motion import Array
 from rigctl.devices.objects import MM_PER_POSITION_UNIT, MM_S_PER_VELOCITY_16_UNIT
-from rigctl.ipc.record import Flag
 from rigctl.model.quantity import count
+from rigctl.model.states import Flag
 from rigctl.model.unmeasured import Unmeasured
 
 ComplexArray = npt.NDArray[np.complex128]

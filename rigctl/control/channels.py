@@ -18,7 +18,7 @@ from rigctl.devices import codecs
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.process_data import DriveUnits
 from rigctl.ipc.correction import Correction
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 
 NEVER_NS = -(1 << 61)
 OVERRANGE = 1.2  # a cell may read this much of its rated range

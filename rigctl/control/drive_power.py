@@ -15,7 +15,7 @@ def drive_shown(statusword: int, *, off: bool, taking: bool) -> tuple[DriveState
 
     Args:
         statusword: as the drive has sent it.
-        off: it has reported a state without power for its brake's time, see `rigctl.ipc.record.Flag`.
+        off: it has reported a state without power for its brake's time, see `rigctl.model.states.Flag`.
         taking: it has been commanded on, and is not enabled yet.
     """
     state = drive_state(statusword)

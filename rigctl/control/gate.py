@@ -2,19 +2,10 @@
 
 from __future__ import annotations
 
-from enum import IntEnum
+from rigctl.model.samples import Verdict
 
 NIS_SAMPLES = 1000
 """Window of the running mean of NIS, in samples."""
-
-
-class Verdict(IntEnum):
-    """What became of a sensor's sample in a tick."""
-
-    ABSENT = 0  # no sample came, or it was not a number
-    USED = 1
-    REJECTED = 2  # outside the gate
-    IDLE = 3  # the rope is slack, so nothing can be estimated
 
 
 # As numbers: a member's .value is a function call.

@@ -21,8 +21,8 @@ from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
 from rigctl.ipc import whole_file
 from rigctl.ipc.ledger import utc
-from rigctl.ipc.record import Flag
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Flag
 
 IN_FORCE = "stroke.json"  # in the runtime folder
 KEPT_MM, KEPT_N = 0.02, 1.0  # a stroke, or a load of a slip, that differs by less is not written again

@@ -23,11 +23,12 @@ from rigctl.control.tension import TensionLaw
 from rigctl.control.trials import LoadBin
 from rigctl.ipc import ring
 from rigctl.ipc.hold_socket import NAME_BYTES
-from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Flag, Quality, Slot
+from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Slot
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.events import Kind
-from rigctl.model.states import HeldBy
+from rigctl.model.samples import Quality
+from rigctl.model.states import Flag, HeldBy
 from rigctl.model.verbs import Refusal
 
 NOTICE_NS = 1_000_000_000

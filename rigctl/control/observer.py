@@ -45,9 +45,8 @@ from rigctl.devices.objects import (
     drive_state,
 )
 from rigctl.ipc.correction import Correction
-from rigctl.ipc.record import Flag
 from rigctl.model.device_states import DriveState
-from rigctl.model.states import EStop, Mode
+from rigctl.model.states import EStop, Flag, Mode
 
 _SECOND_NS = 1_000_000_000
 IO_NODE = EStop.IO_NODE.value

@@ -15,7 +15,7 @@ import math
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 from rigctl.ipc.correction import Correction
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 
 _NS = 1e-9
 _INVALID = Quality.INVALID.value

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from rigctl.config.built_type import built
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.record import Flag
+from rigctl.model.states import Flag
 
 SETTLED_FRACTION = 0.005  # of the target: tensioning ends within this error
 RAMP_EASE_S = 0.25  # a ramp takes this long to reach its slope and to leave it
@@ -89,7 +89,7 @@ class TensionLaw:
         self.integral_mm_s = 0.0
         self._error_n = self._speed_error_mm_s = 0.0  # of the last closed tick
         self.command_mm_s = 0.0
-        self.limits = 0  # bits, see rigctl.ipc.record.Flag
+        self.limits = 0  # bits, see rigctl.model.states.Flag
         self._slack_stroke_mm: float | None = None
         self._tight = False
         self.rope_lost = False  # this TENSIONING had tension and has lost it

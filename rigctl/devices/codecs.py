@@ -15,8 +15,8 @@ from typing import Protocol
 from rigctl.devices import objects as od
 from rigctl.devices.objects import PdoLayout
 from rigctl.devices.process_data import DriveUnits
-from rigctl.ipc.record import Quality
 from rigctl.model.device_states import STATUSWORD
+from rigctl.model.samples import Quality
 
 Data = bytes | bytearray
 

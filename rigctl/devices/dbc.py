@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Literal
 
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 
 Data = bytes | bytearray
 Reader = Callable[[Data], float]

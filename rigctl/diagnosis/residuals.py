@@ -15,14 +15,13 @@ import numpy.typing as npt
 from rigctl.config.settings import RigSettings
 from rigctl.control.drive_power import CURRENT_SHARE
 from rigctl.diagnosis.window import TripWindow
-from rigctl.ipc.record import Flag
 from rigctl.model import emergency
 from rigctl.model.device_states import NmtState
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, Trait
 from rigctl.model.loop_event import LoopEvent
 from rigctl.model.reactions import Symptom
-from rigctl.model.states import HeldBy, Mode
+from rigctl.model.states import Flag, HeldBy, Mode
 
 Floats = npt.NDArray[np.float64]
 _MS = 1_000_000

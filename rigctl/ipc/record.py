@@ -67,30 +67,6 @@ class Slot:
         return found
 
 
-class Quality(IntFlag):
-    """Why a signal is not good; 0 is good."""
-
-    STALE = 1
-    INVALID = 2
-    SATURATED = 4
-    NEVER = 8
-
-
-class Flag(IntFlag):
-    """States of a tick."""
-
-    LIMITED_SPEED = 1
-    LIMITED_ACCELERATION = 2
-    LIMITED_STROKE = 4
-    ARMING = 16
-    DRIVE_ENABLED = 32
-    STOPPING = 64
-    STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
-    DRIVE_OFF = 8192  # the drive has reported a state without power for as long as its brake takes to close
-    BRAKE_FAILS = 16384  # the brake is known not to hold, see control.brake_flag
-    CARRIES = 32768  # the motor has a load that would sink without it; an end lowers it first, see control.ending
-
-
 RECORD = Slot("record", tuple(Field(row.name, row.code, row.unit, row.meaning) for row in RECORDED))
 
 EVENT = Slot(

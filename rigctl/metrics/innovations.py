@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from rigctl.metrics.phases import JudgedPhase
 
-USED = 1  # `rigctl.control.gate.Verdict`
+USED = 1  # `rigctl.model.samples.Verdict`
 LAGS = 50  # a twentieth of a second at 1 kHz
 BEYOND = 1.96
 SENSORS = (

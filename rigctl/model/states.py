@@ -27,6 +27,21 @@ class Mode(IntEnum):
         """Nothing acts on the tension: zero, scale and creep of the cell may change."""
 
 
+class Flag(IntFlag):
+    """States of a tick."""
+
+    LIMITED_SPEED = 1
+    LIMITED_ACCELERATION = 2
+    LIMITED_STROKE = 4
+    ARMING = 16
+    DRIVE_ENABLED = 32
+    STOPPING = 64
+    STROKE_UNCONFIRMED = 4096  # the drive's position is not confirmed as the stroke, see control.homed
+    DRIVE_OFF = 8192  # the drive has reported a state without power for as long as its brake takes to close
+    BRAKE_FAILS = 16384  # the brake is known not to hold, see control.brake_flag
+    CARRIES = 32768  # the motor has a load that would sink without it; an end lowers it first, see control.ending
+
+
 class HeldBy(IntEnum):
     """What carries the load; the first in a mode that moves the stroke."""
 

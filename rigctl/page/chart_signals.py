@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 from rigctl.model.states import Mode
 from rigctl.wire.trust import DEVICES, doubted_bits
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from enum import IntEnum
 
-from rigctl.control.gate import Verdict
-from rigctl.ipc.record import RECORD, Quality, Slot
+from rigctl.ipc.record import RECORD, Slot
 from rigctl.model.faults import Fault
+from rigctl.model.samples import Quality, Verdict
 from rigctl.model.states import Mode
 from rigctl.wire.record_names import quality_words
 

@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.control.hold_sockets import Hold
-from rigctl.ipc.record import COMMAND, Flag, FrameFlag
+from rigctl.ipc.record import COMMAND, FrameFlag
+from rigctl.model.states import Flag
 
 Slots = npt.NDArray[np.void]
 BATCH_TICKS = 1000

@@ -38,7 +38,6 @@ from rigctl.ipc.joining import presence
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.notes import was_taken
 from rigctl.ipc.progress import HUNG_S, Progress, Stall, StallChange, main_thread, progress_of, stalled_words
-from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, REFUSED, WAITS, AlreadyRunningError, FolderError, Runtime
 from rigctl.ipc.service_manager import notify, unnotified
@@ -46,7 +45,7 @@ from rigctl.ipc.supervision import SUPERVISOR, Doing, Supervision
 from rigctl.ipc.termination import ENDING, EXIT_STARTS_ANEW, on_signals
 from rigctl.ipc.writers import WRITERS
 from rigctl.model.device_states import DriveState
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.supervisor import memory
 from rigctl.supervisor.event_lines import EventLines
 from rigctl.supervisor.left_processes import StillRunsError, end_left

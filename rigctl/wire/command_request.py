@@ -15,14 +15,14 @@ from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line
 from rigctl.control.arming import LONG_TEST_NS
 from rigctl.ipc.hold_socket import HELD, HoldAnswer
-from rigctl.ipc.record import Flag, figure_of
+from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.model.check_words import failed_checks
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.quantity import significant
 from rigctl.model.refusal_words import refusal_text
-from rigctl.model.states import Mode, Witness
+from rigctl.model.states import Flag, Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
 from rigctl.wire.meanings import VERBS as MEANINGS

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from rigctl.ipc.record import Quality
 from rigctl.model.faults import Fault
+from rigctl.model.samples import Quality
 from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run

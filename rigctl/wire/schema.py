@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping
 from enum import IntEnum, IntFlag
 from typing import Any
 
-from rigctl.control.gate import Verdict
 from rigctl.ipc.notes import Note
-from rigctl.ipc.record import RECORD, Flag, Quality
+from rigctl.ipc.record import RECORD
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.samples import Quality, Verdict
+from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire import block
 from rigctl.wire.keys import SEVERITIES, Keys

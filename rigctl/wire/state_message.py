@@ -14,7 +14,6 @@ import numpy.typing as npt
 from rigctl.control.drive_power import drive_shown
 from rigctl.control.safety import Row
 from rigctl.diagnosis.diagnose import Culprit
-from rigctl.ipc.record import Flag
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us
 from rigctl.model.check_words import failed_checks, setting_words, stroke_words
@@ -26,7 +25,7 @@ from rigctl.model.loop_event import LoopEvent
 from rigctl.model.parts import Part
 from rigctl.model.reactions import Action
 from rigctl.model.signals import NEVER_AGE_NS
-from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.wire.meanings import Rows
 from rigctl.wire.record_names import ALIVE_NS, named, quality_words
 

@@ -18,13 +18,13 @@ from rigctl.control.hold_sockets import HoldSockets
 from rigctl.control.modes import TRANSITIONS, Decision, decide, next_mode
 from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.hold_socket import HoldAnswer
-from rigctl.ipc.record import RECORD, REPLY, Flag
+from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import Event, HeldBy, Mode
+from rigctl.model.states import Event, Flag, HeldBy, Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
 
 PERIOD_NS = 1_000_000

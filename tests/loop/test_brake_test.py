@@ -16,11 +16,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
 from rigctl.control.safety import Trip
 from rigctl.control.tension import Gains
-from rigctl.ipc.record import Flag
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import HeldBy, Mode
+from rigctl.model.states import Flag, HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.branches import Started
 from tests.builders.loop_changes import doubt_stroke, end_time_of_carrying

@@ -7,10 +7,10 @@ import pytest
 
 from hil.lockstep import Lockstep
 from rigctl.devices import objects as od
-from rigctl.ipc.record import Quality
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
+from rigctl.model.samples import Quality
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import assert_held, events, frame, nmt, stop_node

@@ -12,13 +12,12 @@ from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.control.modes import command_slot
 from rigctl.devices import objects
-from rigctl.ipc.record import Flag
 from rigctl.model.checks import Check
 from rigctl.model.device_states import STATUSWORD, DriveState, NmtState
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import latched
 

@@ -16,9 +16,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.ending import TOGETHER_NS, WAITS_NS
 from rigctl.control.tension import Gains
-from rigctl.ipc.record import Flag
 from rigctl.model.events import Kind
-from rigctl.model.states import EndStep, Event, Mode, Witness
+from rigctl.model.states import EndStep, Event, Flag, Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.trips import triggers
 from tests.builders.branches import Started

@@ -14,8 +14,8 @@ from hil.plant.inputs import Track
 from hil.plant.layout import HEIGHT, MECHANISM
 from hil.plant.moves import out_and_back
 from rigctl.config.settings import RigSettings
-from rigctl.control.gate import Verdict
 from rigctl.model.faults import Fault
+from rigctl.model.samples import Verdict
 from rigctl.model.states import Mode
 
 

@@ -13,12 +13,11 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
 from rigctl.control.homed import LastStroke
 from rigctl.control.tension import Gains
-from rigctl.ipc.record import Flag
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import STROKE_TOLERANCE_MM, Refusal, Verb
 from tests.builders.loop_frames import latched
 

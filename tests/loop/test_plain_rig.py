@@ -11,9 +11,9 @@ from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
-from rigctl.ipc.record import Quality
 from rigctl.metrics import tension_error as metrics
 from rigctl.model.faults import Fault
+from rigctl.model.samples import Quality
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT

@@ -20,12 +20,11 @@ from rigctl.control.drive_status import CURRENT_NS
 from rigctl.control.power_off import WAIT_NS
 from rigctl.control.tension import Gains
 from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
-from rigctl.ipc.record import Flag
 from rigctl.model.device_states import DriveState
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_frames import stop_node, texts
 

@@ -22,10 +22,9 @@ from rigctl.control.ending import WAITS_NS
 from rigctl.control.tension import Gains
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing
-from rigctl.ipc.record import Flag
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.checks import Check
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import Recording, parts_of, read

@@ -18,8 +18,7 @@ from rigctl.control.frequency_trial import HELD, REGULATED, STRAY_N
 from rigctl.control.tension import Gains
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, response
-from rigctl.ipc.record import Flag
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.excited import built, respond, tensioned
 from tests.builders.linear_plant import true_plant, true_sensitivities

@@ -16,8 +16,8 @@ from rigctl.config.rail_sections import RunOutSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.devices import busload, objects, startup
-from rigctl.ipc.record import Quality
 from rigctl.model.faults import Fault
+from rigctl.model.samples import Quality
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.loop_changes import change_run_out

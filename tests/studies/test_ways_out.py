@@ -26,10 +26,9 @@ from rigctl.control.carried_load import LOWERS_MM_S
 from rigctl.control.modes import SUNK_MM
 from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
-from rigctl.ipc.record import Flag
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode, Witness
+from rigctl.model.states import Flag, Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 

@@ -15,12 +15,11 @@ import numpy.typing as npt
 from hil.faults.digests import name_map
 from hil.faults.lockstep_run import Run
 from hil.wire import FRAME
-from rigctl.control.gate import Verdict
-from rigctl.ipc.record import Flag, Quality
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.samples import Quality, Verdict
+from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
 from rigctl.model.verbs import Refusal
 
 Digests = dict[str, dict[str, str]]

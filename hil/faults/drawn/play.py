@@ -23,10 +23,9 @@ from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
 from rigctl.control.tension import Gains
 from rigctl.devices.remote_node import SilentError
-from rigctl.ipc.record import Flag
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 
 REST_S = 3.0
 """A load that has not moved for so long, with the drive off, its brake closed and no command to come, stays."""

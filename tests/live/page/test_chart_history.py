@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rigctl.ipc.record import RECORD, Quality
+from rigctl.ipc.record import RECORD
+from rigctl.model.samples import Quality
 from rigctl.model.states import Mode
 from rigctl.page.chart_frame import HEADER, frame
 from rigctl.page.chart_signals import SIGNALS, values_of

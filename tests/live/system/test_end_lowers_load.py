@@ -14,9 +14,8 @@ import pytest
 from rigctl.cli import status
 from rigctl.client.connection import Client
 from rigctl.control.ending import TOGETHER_NS
-from rigctl.ipc.record import Flag
 from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.states import HeldBy
+from rigctl.model.states import Flag, HeldBy
 from rigctl.wire.alarms import Alarms
 from tests.builders import daemons
 from tests.builders.paths import ROOT

@@ -14,9 +14,10 @@ import pytest
 from rigctl.cli.install_target import Target
 from rigctl.config import layout, rig_file
 from rigctl.ipc import writers
-from rigctl.ipc.record import RECORD, Flag
+from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingWriter
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Flag
 from tests.builders.paths import ROOT
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]

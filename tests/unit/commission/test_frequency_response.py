@@ -7,7 +7,7 @@ import pytest
 
 from rigctl.commission.frequency_response import FEWEST_PERIODS, PlantResponse, plant_response
 from rigctl.commission.identification import IdentificationError
-from rigctl.ipc.record import Flag
+from rigctl.model.states import Flag
 from tests.builders.synthetic_response import BAND, PLANT, TICK_S, amplitudes, records
 
 TICKS = round(BAND.period_s / TICK_S)

@@ -9,10 +9,11 @@ import pytest
 
 from rigctl.control.arming import AWAITED_CHECKS
 from rigctl.devices.objects import AiStatus
-from rigctl.ipc.record import Flag, FrameFlag, Quality
+from rigctl.ipc.record import FrameFlag
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.faults import Trait
-from rigctl.model.states import EStop
+from rigctl.model.samples import Quality
+from rigctl.model.states import EStop, Flag
 from tests.builders.paths import ROOT
 
 FLAGS: list[type[IntFlag]] = [AiStatus, Check, EStop, Flag, FrameFlag, Quality, Trait]

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.gate import Gate, Verdict
+from rigctl.control.gate import Gate
+from rigctl.model.samples import Verdict
 from tests.builders.paths import ROOT
 
 MODEL = filter_model(config.load(ROOT / "config/paper_rig.yaml"))

@@ -9,8 +9,8 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.devices import objects as od
-from rigctl.ipc.record import Quality
 from rigctl.model.device_states import NmtState
+from rigctl.model.samples import Quality
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 
 RIG = config.load(CONFIG / "paper_rig.yaml")

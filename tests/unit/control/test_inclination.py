@@ -9,8 +9,8 @@ import pytest
 from scipy import stats
 
 from rigctl.config import rig_file as config
-from rigctl.control.gate import Verdict
 from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.model.samples import Verdict
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -16,8 +16,9 @@ from rigctl.control import last_stroke
 from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
 from rigctl.control.last_stroke import KeptValues
-from rigctl.ipc.record import RECORD, Flag
+from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Flag
 from tests.builders.durable import Disk
 from tests.builders.paths import ROOT
 

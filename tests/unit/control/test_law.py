@@ -8,7 +8,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.tension import Estimate, Gains, TensionLaw
-from rigctl.ipc.record import Flag
+from rigctl.model.states import Flag
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -16,7 +16,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.control_process import receive_filters
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import wanted
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 from tests.builders import inboxes
 from tests.builders.paths import ROOT
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
 from rigctl.control.tension import RAMP_EASE_S, Estimate, Gains, TensionLaw
-from rigctl.ipc.record import Flag
+from rigctl.model.states import Flag
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -16,8 +16,8 @@ from rigctl.devices import objects as od
 from rigctl.devices.drive import Power, next_controlword
 from rigctl.devices.objects import Controlword, PdoLayout
 from rigctl.devices.process_data import DriveUnits
-from rigctl.ipc.record import Quality
 from rigctl.model.device_states import STATUSWORD, DriveState
+from rigctl.model.samples import Quality
 from tests.builders.paths import ROOT
 
 EDS = ROOT / "config/eds"

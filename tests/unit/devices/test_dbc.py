@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from rigctl.config import dbc_file
 from rigctl.config.plain import FLOAT_CODES, PlainMessage, PlainSignal
 from rigctl.devices import dbc
-from rigctl.ipc.record import Quality
+from rigctl.model.samples import Quality
 
 KEY = ("tension_cell", "dbc", "tension")
 

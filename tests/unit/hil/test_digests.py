@@ -23,10 +23,9 @@ from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
 from rigctl.control import safety
 from rigctl.design.margins import design_and_check
-from rigctl.ipc.record import Flag
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.states import Mode
+from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import Verb
 from tests.builders.paths import ROOT
 

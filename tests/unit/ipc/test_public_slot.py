@@ -13,7 +13,8 @@ import pytest
 from rigctl.ipc import public_slot, record
 from rigctl.ipc.folder_places import FolderPlaces
 from rigctl.ipc.public_slot import MODE, PUBLIC_SLOT, SLOT_BYTES, PublicSlot, SlotWriter
-from rigctl.ipc.record import Flag, Quality
+from rigctl.model.samples import Quality
+from rigctl.model.states import Flag
 
 FULL = PublicSlot(
     (1 << 62) + 1, 1 << 62, 300.5, 1 << 63, 5, 4, 63, Quality.STALE | Quality.NEVER, Quality.INVALID, True,

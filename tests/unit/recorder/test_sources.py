@@ -14,16 +14,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.gate import Verdict
 from rigctl.control.inbox import Inbox
 from rigctl.control.readback import Readback
 from rigctl.ipc.notes import Note, RequestLog
-from rigctl.ipc.record import RECORD, FrameFlag, Quality, Slot
+from rigctl.ipc.record import RECORD, FrameFlag, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
+from rigctl.model.samples import Quality, Verdict
 from rigctl.model.states import Event, Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder import chain, protobuf

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.ipc.record import RECORD, Flag
-from rigctl.model.states import Mode
+from rigctl.ipc.record import RECORD
+from rigctl.model.states import Flag, Mode
 from rigctl.supervisor.daemon import _ending
 
 S, SLACK_N = 1_000_000_000, 5.0

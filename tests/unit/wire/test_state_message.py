@@ -26,7 +26,7 @@ from rigctl.gateway.published_position import SENT_NS, Cursor
 from rigctl.gateway.streams import BLOCK_RECORDS, blocks_of
 from rigctl.ipc import wall_clock
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.record import EVENT, RECORD, Flag, Quality
+from rigctl.ipc.record import EVENT, RECORD
 from rigctl.ipc.ring import RingReader, create
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics.tension_error import percentiles_us
@@ -34,7 +34,8 @@ from rigctl.model.device_states import DriveState
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import HeldBy, Mode
+from rigctl.model.samples import Quality
+from rigctl.model.states import Flag, HeldBy, Mode
 from rigctl.wire.event_message import event_message
 from rigctl.wire.record_names import ALIVE_NS, quality_words
 from rigctl.wire.state_message import Recent, TripEvents, state_of, warnings_of
