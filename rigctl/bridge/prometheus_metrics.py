@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,53 +20,13 @@ from prometheus_client.core import (
 from prometheus_client.registry import Collector
 
 from rigctl import __version__
+from rigctl.model.presentation import MetricRow
+from rigctl.model.signals import SIGNALS
 
-MM, NS = 1.0e-3, 1.0e-9
-
-
-@dataclass(frozen=True)
-class MetricRow:
-    """A metric of the state: ``fields`` of the message by the value of the label, or one under an empty one."""
-
-    name: str
-    meaning: str
-    factor: float
-    fields: Mapping[str, str]
-    label: str = ""
-    is_counter: bool = False
-
-
-def _one(field: str) -> dict[str, str]:
-    return {"": field}
-
-
-ROWS = (
-    MetricRow("tension_newtons", "Tension of the rope at the cell.", 1.0, _one("tension_n")),
-    MetricRow("vertical_tension_newtons", "Vertical component of the tension.", 1.0, _one("vertical_n")),
-    MetricRow("target_newtons", "Vertical tension that the operator wants.", 1.0, _one("target_n")),
-    MetricRow("error_newtons", "Vertical tension less its target, while COMPENSATING.", 1.0, _one("error_n")),
-    MetricRow("stroke_meters", "Stroke of the cylinder, positive shortens the rope.", MM, _one("stroke_mm")),
-    MetricRow("speed_meters_per_second", "Speed of the cylinder.", MM, _one("speed_mm_s")),
-    MetricRow("command_meters_per_second", "Speed sent to the drive.", MM, _one("command_mm_s")),
-    MetricRow("disturbance_meters_per_second", "Estimated speed of the rope's ends.", MM, _one("disturbance_mm_s")),
-    MetricRow("inclination_radians", "Inclination of the rope.", 1.0,
-        {"tangential": "tangential_rad", "normal": "normal_rad"}, "axis"),
-    MetricRow("sample_age_seconds", "Age of the newest sample.", NS,
-        {"cell": "tension_age_ns", "inclinometer": "inclination_age_ns", "drive": "drive_age_ns"}, "device"),
-    MetricRow("drive_current_amperes", "Motor current.", 1.0, _one("drive_current_a")),
-    MetricRow("temperature_celsius", "Temperature of a device.", 1.0,
-        {"drive": "drive_temperature_c", "cell": "cell_temperature_c"}, "device"),
-    MetricRow("sensitivity_peak_ratio", "Measured peak of the running loop's sensitivity.", 1.0,
-        _one("sensitivity_peak")),
-    MetricRow("ticks", "Periods of the loop since its start.", 1.0, _one("tick"), is_counter=True),
-    MetricRow("ticks_skipped", "Periods that the loop skipped since its start.", 1.0, _one("skipped"), is_counter=True),
-    MetricRow("frames", "CAN frames since the loop's start.", 1.0,
-        {"sent": "frames_sent", "received": "frames_received", "lost": "frames_lost", "refused": "frames_refused",
-         "failed": "send_failures", "error": "error_frames"}, "what", is_counter=True),
-    MetricRow("gateway_samples_lost", "Records overwritten before a gateway could publish them.", 1.0,
-        _one("samples_lost"),
-        is_counter=True),
-)  # fmt: skip
+NS = 1.0e-9
+_TO_BASE = {"mm": 1.0e-3, "mm/s": 1.0e-3, "ns": NS}
+"""Base units by the unit of a signal; the others are base units."""
+_LOST = MetricRow("gateway_samples_lost", "Records overwritten before a gateway could publish them.", is_counter=True)
 BUCKETS_S = (2e-5, 5e-5, 1e-4, 1.5e-4, 2e-4, 3e-4, 5e-4, 1e-3, 2e-3, 5e-3, 2e-2)
 HISTOGRAMS = {
     "loop_lateness_seconds": ("lateness_ns", "How late the loop woke for its tick."),
@@ -132,8 +91,7 @@ class RigMetrics(Collector):
         )
         alive = float(bool(state.get("loop_alive")))
         yield GaugeMetricFamily(f"{PREFIX}up", "1 while the daemon's loop runs and is heard here.", value=alive)
-        for row in ROWS:
-            yield _of_state(row, state)
+        yield from _of_state(state)
         if state.get("mode") is not None:
             yield _states("mode", "Mode of the rig.", self._modes, state["mode"])
             yield _states("fault", "Latched fault.", self._faults, state.get("fault"))
@@ -154,16 +112,20 @@ class RigMetrics(Collector):
         yield records
 
 
-def _of_state(row: MetricRow, state: Mapping[str, Any]) -> Metric:
-    labels = [row.label] if row.label else None
-    kind: type[CounterMetricFamily] | type[GaugeMetricFamily]
-    kind = CounterMetricFamily if row.is_counter else GaugeMetricFamily
-    family = kind(PREFIX + row.name, row.meaning, labels=labels)
-    for label, field in row.fields.items():
+def _of_state(state: Mapping[str, Any]) -> Iterator[Metric]:
+    """The metrics of the catalogue of signals, those of one name as one family, and what the gateway has lost."""
+    families: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
+    rows = [(row.metric, row.name, row.unit) for row in SIGNALS if row.metric is not None]
+    for metric, field, unit in [*rows, (_LOST, "samples_lost", "")]:
+        if metric.name not in families:
+            kind = CounterMetricFamily if metric.is_counter else GaugeMetricFamily
+            labels = [metric.label] if metric.label else None
+            families[metric.name] = kind(PREFIX + metric.name, metric.meaning, labels=labels)
         value = state.get(field)
         if isinstance(value, int | float) and math.isfinite(value):
-            family.add_metric([label] if row.label else [], value * row.factor)
-    return family
+            of = [metric.of] if metric.label else []
+            families[metric.name].add_metric(of, value * _TO_BASE.get(unit, 1.0))
+    yield from families.values()
 
 
 def _states(name: str, meaning: str, names: list[str], now: str | None) -> Metric:

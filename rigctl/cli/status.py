@@ -70,29 +70,22 @@ def rows(
     result += banner_rows(state, view(state, alarms, lock_out)) + alarm_rows(alarms, now_ns, state)
     result += [("e-stop", words, "bold red") for words in figures.e_stop(state)]
     if state.get("mode") is not None:
-        flaws, n, of = figures.flaws(state), figures.number, figures.measured
-        tension = f"{of(state, 'tension_n', 2, 'N')} (vertical {of(state, 'vertical_n', 2, 'N')})"
         skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
-        late = figures.percentiles(state["lateness_us"])
-        result += [
-            ("tension", tension, "bold"),
-            ("vertical error", figures.error(state), "bold"),
-            ("target", n(state["target_n"], 1, "N"), ""),
-            ("stroke", f"{of(state, 'stroke_mm', 2, 'mm')}, {of(state, 'speed_mm_s', 2, 'mm/s', sign=True)}", ""),
-            ("inclination", figures.inclination(state), ""),
-            ("drive", figures.drive_with_state(state), ""),
-            *([("power off", shown, "")] if (shown := figures.power_off(state)) else []),
-            ("load at rest", figures.at_rest(state), ""),
-            ("calibration", *figures.calibration(state)),
-            *([("signals", flaws, "bold yellow")] if flaws else []),
-            ("lateness", late, ""),
-            ("work", figures.percentiles(state["work_us"]), ""),
-            ("skipped", skipped, "bold yellow" if state["skipped"] else ""),
-            ("bus", figures.counters(state), ""),
-            ("age", n(state["age_ms"], 1, "ms"), ""),
-            *([("design", state["design"], "")] if state.get("design") else []),
-            *([("margins", measured, "")] if (measured := figures.margins(state)) else []),
-        ]
+        result += figures.in_order(
+            *figures.lines(state, "status"),
+            figures.DisplayLine(20, "vertical error", figures.error(state), "bold"),
+            figures.DisplayLine(50, "inclination", figures.inclination(state)),
+            figures.DisplayLine(60, "drive", figures.drive_with_state(state)),
+            figures.DisplayLine(90, "calibration", *figures.calibration(state)),
+            figures.DisplayLine(100, "signals", figures.flaws(state), "bold yellow"),
+            figures.DisplayLine(110, "lateness", figures.percentiles(state["lateness_us"])),
+            figures.DisplayLine(120, "work", figures.percentiles(state["work_us"])),
+            figures.DisplayLine(130, "skipped", skipped, "bold yellow" if state["skipped"] else ""),
+            figures.DisplayLine(140, "bus", figures.counters(state)),
+            figures.DisplayLine(150, "age", figures.number(state["age_ms"], 1, "ms")),
+            figures.DisplayLine(160, "design", state.get("design") or ""),
+            figures.DisplayLine(170, "margins", figures.margins(state)),
+        )
     result.append(("lease", figures.lease(state), ""))
     return result + [("warning", text, "yellow") for text in state["warnings"]]
 
@@ -141,17 +134,13 @@ def _values(state: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
     from rigctl.wire.trust import trusted
 
     if state.get("mode") is not None and trusted(state, "tension_n") is not None:
-        yield "tension", f"{figures.measured(state, 'tension_n', 2, 'N')} (target {_newton(state)})", ""
+        yield "tension", f"{figures.measured(state, 'tension_n')} (target {figures.worded(state, 'target_n')})", ""
         if state.get("error_n") is not None:
             yield "error", figures.error(state), ""
     if state.get("mode") is not None and trusted(state, "stroke_mm") is not None:
-        yield "stroke", figures.measured(state, "stroke_mm", 2, "mm"), ""
+        yield "stroke", figures.measured(state, "stroke_mm"), ""
     yield from (("warning", text, "yellow") for text in state["warnings"])
     yield "lease", figures.lease(state), ""
-
-
-def _newton(state: dict[str, Any]) -> str:
-    return figures.number(state["target_n"], 1, "N")
 
 
 def _show(

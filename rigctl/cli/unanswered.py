@@ -25,7 +25,7 @@ def rows(found: Unanswered) -> list[tuple[str, str, str]]:
     state = found.state
     if state is not None and state["mode"] is not None:
         alive = state["loop_alive"]
-        tension = figures.measured(state, "tension_n", 2, "N") if alive else "not known"
+        tension = figures.measured(state, "tension_n") if alive else "not known"
         shown = f" {state['mode']}   {state['age_ms'] / 1000:.1f} s {'old' if alive else 'ago'}, tension {tension}"
         result.append(("mode", shown, figures.mode_style(state) if alive else ""))
         result += [("fault", str(state["fault"]), "bold red")] if state["fault"] else []

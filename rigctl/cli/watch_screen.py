@@ -73,7 +73,7 @@ def tension_bar(state: dict[str, Any], width: int) -> list[Text]:
 def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> list[Text]:
     """Stroke within its limits."""
     stroke, low, high = trusted(state, "stroke_mm"), limits.get("stroke_min_mm"), limits.get("stroke_max_mm")
-    speed = figures.measured(state, "speed_mm_s", 2, "mm/s", sign=True)
+    speed = figures.measured(state, "speed_mm_s")
     first = _row("stroke", f"{figures.number(stroke, 2, 'mm'):>10}  {speed}")
     if low is None or high is None:
         return [first]
@@ -144,23 +144,26 @@ class Screen:
 
     def _values(self, state: dict[str, Any], width: int) -> list[Text]:
         skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
-        flaws, slope = figures.flaws(state), state["quality"]["inclination"]
+        slope = state["quality"]["inclination"]
         return [
             *tension_bar(state, width),
             *stroke_bar(state, self._view.settings.get("cylinder") or {}, width),
-            _row("inclination", figures.inclination(state), "" if slope == "good" else "yellow"),
-            *([_row("signals", flaws, "bold yellow")] if flaws else []),
-            _row("lateness", figures.percentiles(state["lateness_us"])),
-            _row("work", figures.percentiles(state["work_us"])),
-            _row("skipped", skipped, "bold yellow" if state["skipped"] else ""),
-            _row("bus", figures.counters(state)),
-            *([_row("flags", flags, "yellow")] if (flags := figures.flags(state)) else []),
-            *([_row("limits", "; ".join(passed), "yellow")] if (passed := self._view.limits.now) else []),
-            *(_row("before arming", words, style) for words, style in figures.checks(state)),
-            _row("calibration", *figures.calibration(state)),
-            _row("recorder", *figures.recorder(state)),
-            _row("lease", figures.lease(state)),
-        ]
+            *(_row(*line) for line in figures.in_order(
+                *figures.lines(state, "watch"),
+                figures.DisplayLine(10, "inclination", figures.inclination(state), "" if slope == "good" else "yellow"),
+                figures.DisplayLine(20, "signals", figures.flaws(state), "bold yellow"),
+                figures.DisplayLine(30, "lateness", figures.percentiles(state["lateness_us"])),
+                figures.DisplayLine(40, "work", figures.percentiles(state["work_us"])),
+                figures.DisplayLine(50, "skipped", skipped, "bold yellow" if state["skipped"] else ""),
+                figures.DisplayLine(60, "bus", figures.counters(state)),
+                figures.DisplayLine(70, "flags", figures.flags(state), "yellow"),
+                figures.DisplayLine(80, "limits", "; ".join(self._view.limits.now), "yellow"),
+                *(figures.DisplayLine(90, "before arming", words, style) for words, style in figures.checks(state)),
+                figures.DisplayLine(100, "calibration", *figures.calibration(state)),
+                figures.DisplayLine(110, "recorder", *figures.recorder(state)),
+                figures.DisplayLine(120, "lease", figures.lease(state)),
+            )),
+        ]  # fmt: skip
 
     def _events(self, width: int, room: int) -> list[Text]:
         if room <= 1:

@@ -18,6 +18,7 @@ from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line, printable
 from rigctl.ipc.record import RECORD
 from rigctl.model.quantity import count
+from rigctl.model.signals import ANGLES, NAMED, UNRECORDED
 
 Message = dict[str, Any]
 Check = Callable[[bytes], object]
@@ -131,9 +132,6 @@ class _AnyState(msgspec.Struct):
     age_ms: Bounded | None
     rig: Line = ""
     waits_for: Line | None = None
-    held_by: Word | None = None
-    power_off: Word | None = None
-    load_at_rest: Word | None = None
     drive_state: Word | None = None
     drive_power: Word | None = None
     calibration: _Calibration | None = None
@@ -156,17 +154,19 @@ class _Derived(_AnyState, kw_only=True):
     fault: Word | None
     fault_text: Line
     flag_names: Lines
-    held_by: Line = ""
     quality: _Quality
-    error_n: Real | None
-    error_pct: Real | None
-    tangential_deg: Real | None
-    normal_deg: Real | None
     lateness_us: _Percentiles | None
     work_us: _Percentiles | None
 
 
-_REPLACED = {*_AnyState.__struct_fields__, *_Derived.__struct_fields__}
+_NAMES: list[tuple[str, Any, Any]] = [
+    (name, Word | None, None) if enum.none else (name, Word, "") for name, enum in NAMED.items() if name != "fault"
+]
+_PEOPLE: list[tuple[str, Any]] = [
+    *((row.name, Real | None) for row in UNRECORDED),
+    *((row.degrees, Real | None) for row in ANGLES),
+]
+_REPLACED = {*NAMED, *_AnyState.__struct_fields__, *_Derived.__struct_fields__}
 _SHOWN = (
     "vertical_n", "tension_n", "target_n", "stroke_mm", "speed_mm_s", "t_ns", "tick", "skipped", "frames_lost",
     "frames_refused", "send_failures", "error_frames",
@@ -181,12 +181,20 @@ _FIELDS: list[tuple[str, Any]] = [
 _Recorded: Any = built(
     msgspec.defstruct(
         "_Recorded",
-        [field for field in _FIELDS if field[0] in _SHOWN]
+        _PEOPLE
+        + [field for field in _FIELDS if field[0] in _SHOWN]
+        + _NAMES
         + [(name, kind | None, None) for name, kind in _FIELDS if name not in _SHOWN],
         bases=(_Derived,),
         kw_only=True,
     )
 )
+
+
+_NoRecord: Any = built(
+    msgspec.defstruct("_NoRecord", [(name, Word | None, None) for name, *_ in _NAMES], bases=(_AnyState,))
+)
+"""A state without a record."""
 
 
 @built
@@ -321,7 +329,7 @@ def message(payload: bytes) -> Message:
 def state(payload: bytes) -> Message:
     """A state message."""
     found = message(payload)
-    return _of(found, _AnyState if found.get("mode") is None else _Recorded)  # type: ignore[no-any-return]
+    return _of(found, _NoRecord if found.get("mode") is None else _Recorded)  # type: ignore[no-any-return]
 
 
 def event(payload: bytes) -> Message:

@@ -25,8 +25,8 @@ from rigctl.demo.script import DemoError, Moment, PausedError, Show, play
 from rigctl.demo.simulator_node import SimulatorNode
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.ipc.ring import RingReader
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import NEVER_AGE_NS, RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
+from rigctl.model.signals import NEVER_AGE_NS
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 from rigctl.recorder import parts

@@ -54,11 +54,10 @@ from rigctl.ipc.ledger import Standing
 from rigctl.ipc.notes import Note, RequestLog, changes_noted, was_taken
 from rigctl.ipc.progress import Progress
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import PUBLIC_MODE, FolderError, Runtime
+from rigctl.ipc.runtime_folder import PUBLIC_MODE, RECORDED, FolderError, Runtime
 from rigctl.ipc.termination import Termination
 from rigctl.model.checks import HOST_CHECKS
 from rigctl.model.faults import Fault
-from rigctl.model.signals import RECORDED
 from rigctl.model.verbs import Setting, SettingOrder
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys

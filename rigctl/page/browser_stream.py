@@ -11,8 +11,9 @@ import msgspec
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rigctl.config import input_file
+from rigctl.model.signals import Signal
 from rigctl.page.chart_frame import frame
-from rigctl.page.chart_signals import SIGNALS
+from rigctl.page.chart_signals import SIGNALS, STRIPS
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.lateness import EDGES_US
 from rigctl.page.page_commands import PageCommands
@@ -48,7 +49,12 @@ class BrowserStream:
         listening = asyncio.create_task(self._listen())
         try:
             await self._put(
-                {**self._hello, "signals": [signal.name for signal in SIGNALS], "edges_us": EDGES_US.round(3).tolist()}
+                {
+                    **self._hello,
+                    "signals": [signal.name for signal in SIGNALS],
+                    "strips": [_strip(row) for row in STRIPS],
+                    "edges_us": EDGES_US.round(3).tolist(),
+                }
             )
             count = 0
             while not listening.done():
@@ -101,3 +107,8 @@ class BrowserStream:
     async def _put(self, message: dict[str, Any]) -> None:
         async with asyncio.timeout(_SLOW_S):
             await self._socket.send_text(msgspec.json.encode(message).decode())
+
+
+def _strip(row: Signal) -> dict[str, Any]:
+    return {"signal": row.name, "title": row.shown.label, "unit": row.unit, "digits": row.shown.digits,
+            "least": row.shown.span, "device": row.device}  # fmt: skip

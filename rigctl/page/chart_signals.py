@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.model.samples import Quality
+from rigctl.model.signals import ANGLES, DEVICES, SHOWN
 from rigctl.model.states import Mode
-from rigctl.wire.trust import DEVICES, doubted_bits
+from rigctl.wire.trust import doubted_bits
 
 Values = npt.NDArray[np.float64]
 _DOUBTED = {device: np.uint64(doubted_bits(device)) for device in DEVICES}
@@ -34,9 +35,11 @@ def _not_trusted(records: npt.NDArray[Any], device: str) -> npt.NDArray[np.bool_
 
 
 def _seen(field: str, device: str, factor: float = 1.0) -> Callable[[npt.NDArray[Any]], Values]:
-    """A field while its device's value is trusted; an old value would look like a steady one."""
+    """A field while the value of its device, if it has one, is trusted; an old value would look like a steady one."""
 
     def values(records: npt.NDArray[Any]) -> Values:
+        if not device:
+            return np.asarray(records[field] * factor, np.float64)
         return np.where(_not_trusted(records, device), np.nan, records[field] * factor)
 
     return values
@@ -52,24 +55,23 @@ def _error_pct(records: npt.NDArray[Any]) -> Values:
     return np.where(known, 100.0 * (records["vertical_n"] - wanted) / np.where(known, target, 1.0), np.nan)
 
 
+STRIPS = tuple(sorted((row for row in SHOWN.values() if row.shown.strip), key=lambda row: row.shown.strip))
+"""The signals that have a strip chart, from the top."""
+_UNRECORDED = {"error_pct": _error_pct}
 SIGNALS: tuple[ChartSignal, ...] = (
-    ChartSignal("vertical_n", _seen("vertical_n", "tension")),
+    *(ChartSignal(row.name, _UNRECORDED.get(row.name) or _seen(row.name, row.device)) for row in STRIPS),
     ChartSignal("target_n", lambda records: np.asarray(records["target_n"], np.float64)),
-    ChartSignal("error_pct", _error_pct),
-    ChartSignal("stroke_mm", _seen("stroke_mm", "drive")),
-    ChartSignal("speed_mm_s", _seen("speed_mm_s", "drive")),
-    ChartSignal("tangential_deg", _seen("tangential_rad", "inclination", 180.0 / np.pi)),
-    ChartSignal("normal_deg", _seen("normal_rad", "inclination", 180.0 / np.pi)),
+    *(ChartSignal(row.degrees, _seen(row.name, row.device, 180.0 / np.pi)) for row in ANGLES),
     ChartSignal("lateness_us", lambda records: records["lateness_ns"] / 1000.0),
     ChartSignal("mode", lambda records: np.asarray(records["mode"], np.float64)),
 )
 
 
 FIELDS = frozenset(
-    {"vertical_n", "target_n", "stroke_mm", "speed_mm_s", "tangential_rad", "normal_rad", "mode", "cause_bits",
-     "setpoint_n", "tension_n"}
+    {"target_n", "mode", "cause_bits", "setpoint_n", "tension_n", "vertical_n"}
+    | {row.name for row in (*STRIPS, *ANGLES) if row.code}
     | {f"{device}_quality" for device in DEVICES}
-)  # fmt: skip
+)
 """Fields of a record from which the signals are derived."""
 
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 from rigctl.model import quantity
-from rigctl.model.quantity import number
+from rigctl.model.signals import DEVICES, SHOWN
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarms import Alarm
 from rigctl.wire.operator_view import view
 from rigctl.wire.state_words import held
-from rigctl.wire.trust import DEVICES, doubts
+from rigctl.wire.trust import doubts
 
 
 def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") -> dict[str, Any]:
@@ -28,6 +28,20 @@ def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") 
     }  # fmt: skip
 
 
+NOT_KNOWN = "not known"
+
+
+class _Part(NamedTuple):
+    """A device or a thing at the rig, at its place among the others."""
+
+    place: int
+    name: str
+    text: str
+    bad: bool = False
+    sure: bool = True
+    age_ms: float | None = None
+
+
 def _age(state: dict[str, Any], name: str) -> float | None:
     age = state.get(f"{name}_age_ns")
     return age / 1e6 if isinstance(age, int | float) else None
@@ -42,33 +56,47 @@ def devices(state: dict[str, Any], active: dict[str, Any]) -> list[dict[str, Any
     settings = active.get("settings") or {}
     doubt, quality, alive = doubts(state), state.get("quality") or {}, bool(state.get("loop_alive"))
     dead = set(DEVICES) <= doubt.keys()
-    rows: list[tuple[str, str, float | None, bool, bool]] = [
-        ("drive", figures.drive_with_state(state), None if "drive" in doubt else _age(state, "drive"),
-         "drive" in doubt, True),
-        ("brake", figures.brake(state), None, False, False),
-        ("load", held(state), None, state.get("held_by") == "UNKNOWN", False),
-        ("load at rest", figures.at_rest(state), None, state.get("load_at_rest") == "UNKNOWN", False),
-        *((name, _drive_figure(state, field, digits, unit), None, False, True)
-          for name, field, digits, unit in _OF_DRIVE),
-        *((*row, True) for row in _e_stops(state, settings)),
-        *((name, doubt.get(key, str(quality.get(key, "-"))), _age(state, key), key in doubt, True)
+    rows = [
+        _Part(10, "drive", figures.drive_with_state(state), "drive" in doubt,
+              age_ms=None if "drive" in doubt else _age(state, "drive")),
+        _Part(20, "brake", figures.brake(state), sure=False),
+        _Part(30, "load", held(state), state.get("held_by") == "UNKNOWN", sure=False),
+        *_signals(state),
+        *_e_stops(state, settings),
+        *(_Part(80, name, doubt.get(key, str(quality.get(key, "-"))), key in doubt, age_ms=_age(state, key))
           for name, key in (("tension cell", "tension"), ("inclinometer", "inclination"))),
     ]  # fmt: skip
     load = active.get("bus_load")
     if isinstance(load, int | float):
         errors = int(state.get("error_frames") or 0)
         heard = "nothing is heard" if dead else quantity.count(errors, "error frame")
-        rows.append(("bus", f"{heard}; load {100 * load:.0f} % at worst", None, dead, True))
-    return [{"name": name, "text": text, "age_ms": age if alive else None, "bad": bad, "sure": sure}
-            for name, text, age, bad, sure in rows]  # fmt: skip
+        rows.append(_Part(90, "bus", f"{heard}; load {100 * load:.0f} % at worst", dead))
+    return [{"name": part.name, "text": part.text, "age_ms": part.age_ms if alive else None, "bad": part.bad,
+             "sure": part.sure} for part in sorted(rows, key=lambda part: part.place)]  # fmt: skip
 
 
-_OF_DRIVE = (("motor current", "drive_current_a", 2, "A"), ("drive temperature", "drive_temperature_c", 0, "deg C"))
+def _signals(state: dict[str, Any]) -> Iterator[_Part]:
+    """The signals that are shown among the parts of the rig; not known where they are not to be trusted."""
+    doubt = doubts(state)
+    for name, row in SHOWN.items():
+        if not row.shown.part:
+            continue
+        known = row.device not in doubt and (row.enum is not None or isinstance(state.get(name), int | float))
+        text = figures.worded(state, name) if known else NOT_KNOWN
+        bad = row.enum is not None and str(state.get(name)) == "UNKNOWN"
+        yield _Part(row.shown.part, row.shown.label, text, bad, sure=not row.shown.inferred)
 
 
-def _drive_figure(state: dict[str, Any], field: str, digits: int, unit: str) -> str:
-    """What the drive's status carries; not known where nothing valid is heard of the drive."""
-    return "not known" if "drive" in doubts(state) else number_of(state.get(field), digits, unit)
+def values(state: dict[str, Any]) -> list[dict[str, Any]]:
+    """The page's list of values: each in words, and why it is not to be trusted, None where it is."""
+    doubt, found = doubts(state), []
+    for name, row in sorted(SHOWN.items(), key=lambda item: item[1].shown.value):
+        if row.shown.value:
+            text = figures.worded(state, name, row.shown.digits + row.shown.finer)
+            there = isinstance(state.get(name), int | float)
+            found.append({"name": name, "label": row.shown.label, "text": text.replace(" deg", " °"),
+                          "doubt": doubt.get(row.device) if there else None})  # fmt: skip
+    return found
 
 
 def oldest_ms(state: dict[str, Any]) -> float | None:
@@ -77,12 +105,7 @@ def oldest_ms(state: dict[str, Any]) -> float | None:
     return max(ages, default=None)
 
 
-def number_of(value: Any, digits: int, unit: str) -> str:
-    """A number with its unit, or that it is not known."""
-    return number(value, digits, unit) if isinstance(value, int | float) else "not known"
-
-
-def _e_stops(state: dict[str, Any], settings: dict[str, Any]) -> list[tuple[str, str, None, bool]]:
+def _e_stops(state: dict[str, Any], settings: dict[str, Any]) -> Iterator[_Part]:
     """Both inputs of the emergency stop. While armed a pressed one is a fault; before, a check that fails."""
     failing = (state.get("preflight") or {}).get("failing") or {}
     blind = {str(cause.get("fault")) for cause in state.get("causes") or []} & {"STATUS_STALE", "BUS_SILENT"}
@@ -97,19 +120,17 @@ def _e_stops(state: dict[str, Any], settings: dict[str, Any]) -> list[tuple[str,
         ("E-stop, I/O node's input", "E_STOP_IO", settings.get("io") is not None, "I/O node"),
     )
     only = sum(fitted for _, _, fitted, _ in inputs) == 1
-    rows: list[tuple[str, str, None, bool]] = []
     for name, check, fitted, words in inputs:
         if not fitted:
-            rows.append((name, "not fitted", None, False))
+            yield _Part(70, name, "not fitted")
         elif words in pressed or (looked_at and check in failing) or (unnamed and only):
-            rows.append((name, "PRESSED", None, True))
+            yield _Part(70, name, "PRESSED", bad=True)
         elif unnamed:
-            rows.append((name, "not known: one of the inputs is pressed", None, True))
+            yield _Part(70, name, "not known: one of the inputs is pressed", bad=True)
         elif unseen[words] or (looked_at and f"{check}_UNSEEN" in failing):
-            rows.append((name, "not seen", None, True))
+            yield _Part(70, name, "not seen", bad=True)
         else:
-            rows.append((name, "released", None, False))
-    return rows
+            yield _Part(70, name, "released")
 
 
 def timing(state: dict[str, Any], period_us: float | None, missed: int) -> dict[str, Any]:

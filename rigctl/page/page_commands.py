@@ -20,7 +20,7 @@ from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import Denial
 from rigctl.wire.offers import BUTTONS, refused_with
-from rigctl.wire.state_words import measured, number
+from rigctl.wire.state_words import measured, number, worded
 from rigctl.wire.typed_values import SHELF_MINUTES, shelf_s
 
 CONFIRM_S = 15.0
@@ -45,8 +45,8 @@ class Proposal:
 
 def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
     """The effect of a command, in one line."""
-    target, now = number(state.get("target_n"), 1, "N"), measured(state, "tension_n", 1, "N")
-    stroke = measured(state, "stroke_mm", 1, "mm")
+    target, now = worded(state, "target_n"), measured(state, "tension_n", 1)
+    stroke = measured(state, "stroke_mm", 1)
     match verb:
         case "arm":
             what = f"drive on, brake open, stroke held at {stroke} with {now} on the rope"

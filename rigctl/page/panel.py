@@ -6,7 +6,9 @@ import time
 from typing import Any
 
 from rigctl.client import local_hold
+from rigctl.model.signals import ANGLES
 from rigctl.page import operator_panel, typed_fields
+from rigctl.page.chart_signals import STRIPS
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarm_words import tally
@@ -15,9 +17,10 @@ from rigctl.wire.offers import BUTTONS, PAY_OUT, not_now, refused_now
 from rigctl.wire.trust import doubts
 
 _NUMBERS = (
-    "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm", "speed_mm_s", "tangential_deg",
-    "normal_deg", "tick", "skipped", "wall_ns", "move", "learned_mm_s",
+    *(row.name for row in STRIPS), "vertical_n", "tension_n", "target_n", "error_n", "error_pct", "stroke_mm",
+    "tangential_deg", "tick", "skipped",
 )  # fmt: skip
+"""What the browser draws, judges or says with others."""
 
 _IN_FAULT = ("carry", "lower")
 """Verbs whose buttons are there in FAULT alone."""
@@ -91,6 +94,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "flag_names": state.get("flag_names", []),
         "verbs": verbs,
         "devices": operator_panel.devices(state, active),
+        "figures": operator_panel.values(state),
         "timing": operator_panel.timing(state, _period_us(active), missed),
         "flags": figures.flags(state),
         "limits": passed,
@@ -143,11 +147,8 @@ def settings_message(active: dict[str, Any]) -> dict[str, Any]:
         "tension_n": [
             {"value": safety[name], "action": "hold"} for name in ("tension_high_n", "tension_low_n") if name in safety
         ] + rows("tension_n"),
-        "stroke_mm": rows("stroke_mm"),
+        **{row.field: rows(row.field) for row in (*STRIPS, *ANGLES)},
         "stroke_range_mm": [cylinder.get("stroke_min_mm"), cylinder.get("stroke_max_mm")],
-        "speed_mm_s": rows("speed_mm_s"),
-        "tangential_deg": rows("tangential_deg"),
-        "normal_deg": rows("normal_deg"),
         "target_range_n": [tension.get("target_min_n"), tension.get("target_max_n")],
         "force_limits_n": [safety.get("tension_low_n"), safety.get("tension_high_n")],
     }  # fmt: skip

@@ -26,11 +26,10 @@ from rigctl.ipc import heap, ledger, supervision
 from rigctl.ipc.joining import UsageError, joined
 from rigctl.ipc.progress import Stall, StallChange, progress_of, stalled_words
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import ACTIVE, FolderError, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, FolderError, Runtime
 from rigctl.ipc.seal import SealError
 from rigctl.ipc.supervision import OVER, SUPERVISOR, Doing
 from rigctl.ipc.termination import Termination
-from rigctl.model.signals import RECORDED
 from rigctl.model.states import Mode
 from rigctl.recorder import audit_host, parts, sealed_head
 from rigctl.recorder.audit_host import AuditHost

@@ -11,13 +11,14 @@ from rigctl.diagnosis.table import suspects
 from rigctl.model.faults import Fault, Trait, having
 from rigctl.model.parts import Part
 from rigctl.model.quantity import count, number
+from rigctl.model.signals import DEVICES
 from rigctl.model.states import PowerOff
 from rigctl.model.verbs import Refusal
 from rigctl.wire.alarms import Alarm, figure, follows
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.offers import reason_now, refused_now
 from rigctl.wire.state_words import BRAKE_FAILS, drive, ending, held, if_it_moves, mode
-from rigctl.wire.trust import DEVICES, doubts, explained, trusted
+from rigctl.wire.trust import doubts, explained, trusted
 
 KEEP_OUT, LOCK_OUT_FIRST = "KEEP OUT", "LOCK OUT FIRST"
 _HALL = "Keep out of the hall."

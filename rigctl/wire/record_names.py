@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from rigctl.model.faults import Fault
+from enum import IntEnum, IntFlag
+
 from rigctl.model.samples import Quality
-from rigctl.model.states import HeldBy, LoadAtRest, Mode, PowerOff
 
 ALIVE_NS = 250_000_000  # a loop whose newest record is older than this does not run
 
@@ -14,9 +14,9 @@ def quality_words(bits: int) -> str:
     return "+".join(q.name.lower() for q in Quality if bits & q and q.name) or "good"
 
 
-def named(kind: type[Mode | HeldBy | LoadAtRest | PowerOff | Fault], number: int) -> str:
+def named(kind: type[IntEnum | IntFlag], number: int) -> str:
     """The name of a number of the record, also of one that this version does not know."""
     try:
-        return kind(number).name
+        return str(kind(number).name)
     except ValueError:
         return f"UNKNOWN_{number}"

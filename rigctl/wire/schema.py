@@ -8,12 +8,10 @@ from typing import Any
 
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD
-from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.samples import Quality, Verdict
-from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.signals import ENUMS
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.wire import block
 from rigctl.wire.keys import SEVERITIES, Keys
@@ -38,9 +36,8 @@ from rigctl.wire.state_message import DERIVED
 VERSION = 2  # changes only when a subscriber of this version would misread the data; added fields do not change it
 
 _ENUMS: dict[str, type[IntEnum | IntFlag]] = {
-    "modes": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest,
-    "faults": Fault, "flags": Flag, "quality": Quality, "verdicts": Verdict,
-    "checks": Check, "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "actions": Action, "note_kinds": Note,
+    **{enum.table: enum.kind for enum in ENUMS.values()},
+    "refusals": Refusal, "verbs": Verb, "event_kinds": Kind, "actions": Action, "note_kinds": Note,
 }  # fmt: skip
 
 

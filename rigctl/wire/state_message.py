@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,8 +24,8 @@ from rigctl.model.faults import Fault, faults_of, lasting
 from rigctl.model.loop_event import LoopEvent
 from rigctl.model.parts import Part
 from rigctl.model.reactions import Action
-from rigctl.model.signals import NEVER_AGE_NS
-from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.signals import ANGLES, NAMED, NEVER_AGE_NS, UNRECORDED
+from rigctl.model.states import Flag, HeldBy, Mode
 from rigctl.wire.meanings import Rows
 from rigctl.wire.record_names import ALIVE_NS, named, quality_words
 
@@ -217,24 +217,24 @@ def state_of(record: np.void | None, trip: TripEvents, recent: Recent, now_ns: i
         "loop_alive": age_ns < ALIVE_NS,
         "mode": named(Mode, values["mode"]),
         "mode_code": values["mode"],
-        "held_by": named(HeldBy, values["held_by"]),
-        "held_by_code": values["held_by"],
-        "power_off": named(PowerOff, values["power_off"]) if values["power_off"] else None,
-        "power_off_code": values["power_off"],
-        "load_at_rest": named(LoadAtRest, values["load_at_rest"]),
-        "load_at_rest_code": values["load_at_rest"],
+        **dict(_names(values)),
         **_drive_of(values),
-        "fault": named(Fault, values["fault"]) if values["fault"] else None,
-        "fault_code": values["fault"],
         "fault_text": trip.text(values["fault"]),
         "flag_names": [f.name.lower() for f in Flag if values["flags"] & f and f.name],
         "error_n": error_n,
         "error_pct": None if error_n is None else abs(error_pct(values["vertical_n"], values["target_n"])),
-        "tangential_deg": math.degrees(values["tangential_rad"]),
-        "normal_deg": math.degrees(values["normal_rad"]),
+        **{row.degrees: math.degrees(values[row.name]) for row in ANGLES},
         "quality": {name: quality_words(values[f"{name}_quality"]) for name in ("tension", "inclination", "drive")},
         **recent.figures(),
     }
+
+
+def _names(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """The names of an enumeration's numbers in their place, and the numbers under names of their own."""
+    for name, enum in NAMED.items():
+        number = values[name]
+        yield name, None if enum.none and not number else named(enum.kind, number)
+        yield f"{name}_code", number
 
 
 def _drive_of(values: Mapping[str, Any]) -> dict[str, str | None]:
@@ -304,6 +304,14 @@ def preflight_of(
     }
 
 
+_NAMED_ROWS: Rows = tuple(
+    row
+    for name, enum in NAMED.items()
+    for row in (
+        (name, "string?" if enum.none else "string", "", enum.named),
+        (f"{name}_code", "integer", "", "its number, as in the record" + ("; 0 none" if enum.none else "")),
+    )
+)
 DERIVED: Rows = (
     ("rig", "string", "", "name of the rig"),
     ("wall_ns", "integer", "ns", "t_ns on the wall clock, since 1970 UTC"),
@@ -317,24 +325,7 @@ DERIVED: Rows = (
     ),
     ("mode", "string?", "", "mode's name; null without a record, whose fields are then not there"),
     ("mode_code", "integer", "", "its number, as in the record"),
-    ("held_by", "string", "", "what carries the load: MOTOR, BRAKE, or the step between; NOTHING in a mode that moves"),
-    ("held_by_code", "integer", "", "its number, as in the record"),
-    (
-        "power_off",
-        "string?",
-        "",
-        "what shows that a drive commanded off is without power: INPUT, HEARTBEAT, TENSION or STROKE, else AWAITED or "
-        "UNCONFIRMED; null without such a command",
-    ),
-    ("power_off_code", "integer", "", "its number, as in the record"),
-    (
-        "load_at_rest",
-        "string",
-        "",
-        "what shows that the load has been at rest for 2 s: TENSION, STROKE or BOTH; else MOVES, or UNKNOWN if neither "
-        "is seen",
-    ),
-    ("load_at_rest_code", "integer", "", "its number, as in the record"),
+    *_NAMED_ROWS,
     ("drive_state", "string?", "", "CiA 402 state that the statusword reports; null where the drive is not heard"),
     (
         "drive_power",
@@ -343,8 +334,6 @@ DERIVED: Rows = (
         "OFF: the drive has reported a state without power (SWITCH_ON_DISABLED, READY_TO_SWITCH_ON, FAULT) for its "
         "brake's time; else STOPPING or NOT_OFF; null where the drive is not heard",
     ),
-    ("fault", "string?", "", "latched fault's name, null without one"),
-    ("fault_code", "integer", "", "its number, as in the record; 0 none"),
     ("fault_text", "string", "", "why it tripped, in words; empty without a fault"),
     (
         "causes",
@@ -362,10 +351,8 @@ DERIVED: Rows = (
         "named",
     ),
     ("flag_names", "array", "", "flags in words"),
-    ("error_n", "number?", "N", "vertical_n - target_n while COMPENSATING, else null"),
-    ("error_pct", "number?", "%", "its magnitude over the target, while COMPENSATING, else null"),
-    ("tangential_deg", "number?", "deg", "tangential_rad for people"),
-    ("normal_deg", "number?", "deg", "normal_rad for people"),
+    *((row.name, "number?", row.unit, row.meaning) for row in UNRECORDED),
+    *((row.degrees, "number?", row.field_unit, f"{row.name} for people") for row in ANGLES),
     ("quality", "object", "", "tension, inclination, drive: good, or what is wrong"),
     ("lateness_us", "object?", "us", "p50, p99, p999 and max over the last second"),
     ("work_us", "object?", "us", "p50, p99, p999 and max over the last second"),

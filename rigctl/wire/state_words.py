@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 from rigctl.model import quantity
-from rigctl.model.states import DrivePower, LoadAtRest, PowerOff
+from rigctl.model.presentation import Enumeration
+from rigctl.model.signals import SHOWN
+from rigctl.model.states import DrivePower, PowerOff
 from rigctl.wire.alarms import without_steps
-from rigctl.wire.trust import DEVICE_OF, doubts, explained
+from rigctl.wire.trust import doubts, explained
 
 MODE_STYLE = {
     "DISARMED": "black on white",
@@ -76,12 +79,6 @@ def ending(state: dict[str, Any]) -> str:
     return f"THE DAEMON IS TO END: {when}; a second signal leaves the load"
 
 
-def at_rest(state: dict[str, Any]) -> str:
-    """Whether the load is at rest, and what shows it."""
-    shown = LoadAtRest.__members__.get(str(state.get("load_at_rest")), LoadAtRest.UNKNOWN)
-    return shown.words
-
-
 def drive(state: dict[str, Any]) -> str:
     """Whether the drive is on, off, or what it is else, as its statusword says."""
     if "drive" in doubts(state):
@@ -114,12 +111,51 @@ def brake(state: dict[str, Any]) -> str:
     return "closing" if state.get("held_by") == "CLOSING" else "closed"
 
 
-def measured(state: dict[str, Any], name: str, digits: int, unit: str = "", *, sign: bool = False) -> str:
-    """A value of the state with its unit; a dash, and why, where it is not to be trusted."""
-    device = DEVICE_OF[name]
-    if (doubt := doubts(state).get(device)) is not None:
+def worded(state: dict[str, Any], name: str, digits: int | None = None) -> str:
+    """A signal by its row, trusted or not: a number with its unit, or a name's words; a dash for no value.
+
+    ``digits``: None for the row's.
+    """
+    row = SHOWN[name]
+    if row.enum is not None:
+        return _words(row.enum, str(state.get(name)))
+    return number(state.get(name), row.shown.digits if digits is None else digits, row.field_unit, sign=row.shown.sign)
+
+
+def _words(enum: Enumeration, name: str) -> str:
+    member = enum.kind.__members__.get(name)
+    if member is None:
+        return "" if enum.none else "not known"
+    return str(getattr(member, "words", name.replace("_", " ").lower()))
+
+
+def measured(state: dict[str, Any], name: str, digits: int | None = None) -> str:
+    """A signal by its row; a dash, and why, where it is not to be trusted."""
+    if (doubt := doubts(state).get(SHOWN[name].device)) is not None:
         return f"{NOTHING} ({doubt})"
-    return number(state.get(name), digits, unit, sign=sign)
+    return worded(state, name, digits)
+
+
+class DisplayLine(NamedTuple):
+    """A line of a display, at its place among the others."""
+
+    place: int
+    label: str
+    text: str
+    style: str = ""
+
+
+def lines(state: dict[str, Any], display: str) -> Iterator[DisplayLine]:
+    """The signals that have a line on a display of the terminal, a field of `Shown`."""
+    for name, row in SHOWN.items():
+        if place := getattr(row.shown, display):
+            values = (measured(state, one) for one in (name, *row.shown.beside))
+            yield DisplayLine(place, row.shown.label, row.shown.line.format(*values), row.shown.style)
+
+
+def in_order(*found: DisplayLine) -> list[tuple[str, str, str]]:
+    """Label, text and style of the lines that have a text, by their places."""
+    return [line[1:] for line in sorted(found, key=lambda line: line.place) if line.text]
 
 
 def mode_style(state: dict[str, Any]) -> str:
@@ -184,16 +220,15 @@ def error(state: dict[str, Any]) -> str:
     if (doubt := doubts(state).get("tension")) is not None:
         return f"{NOTHING} ({doubt})"
     if on_ramp(state):
-        return f"{NOTHING} (on the way to {number(state['target_n'], 1, 'N')})"
-    return f"{number(state['error_n'], 3, 'N', sign=True)} ({number(state['error_pct'], 3, '%')})"
+        return f"{NOTHING} (on the way to {worded(state, 'target_n')})"
+    return f"{worded(state, 'error_n')} ({worded(state, 'error_pct')})"
 
 
 def inclination(state: dict[str, Any]) -> str:
     """Both angles, or what is wrong with them."""
     if (doubt := doubts(state).get("inclination")) is not None:
         return f"{NOTHING} ({doubt})"
-    tangential, normal = (number(state[f"{axis}_deg"], 2, "deg", sign=True) for axis in ("tangential", "normal"))
-    return f"tangential {tangential}  normal {normal}"
+    return f"tangential {worded(state, 'tangential_deg')}  normal {worded(state, 'normal_deg')}"
 
 
 def calibration(state: dict[str, Any]) -> tuple[str, str]:

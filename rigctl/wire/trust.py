@@ -7,9 +7,8 @@ from typing import Any
 from rigctl.diagnosis.part import FROM_BUS
 from rigctl.model.faults import Fault, Trait, bits_of, having
 from rigctl.model.parts import Part
+from rigctl.model.signals import DEVICES, SIGNALS
 
-DEVICES = ("tension", "drive", "inclination")
-"""The devices whose samples have a quality; the drive's are stroke, speed and whether it is on."""
 DOUBTED_BY = {
     "tension": having(Trait.HIDES_TENSION),
     "drive": having(Trait.HIDES_DRIVE),
@@ -17,10 +16,7 @@ DOUBTED_BY = {
 }
 """Causes that make a device's value untrustworthy although its samples may arrive, and be good each by itself."""
 _UNTIL_RESET = having(Trait.HIDES_UNTIL_RESET)
-DEVICE_OF = {
-    "tension_n": "tension", "vertical_n": "tension", "error_n": "tension", "error_pct": "tension",
-    "stroke_mm": "drive", "speed_mm_s": "drive", "tangential_deg": "inclination", "normal_deg": "inclination",
-}  # fmt: skip
+DEVICE_OF = {row.field: row.device for row in SIGNALS if row.device}
 """The device behind each value that a display shows."""
 
 

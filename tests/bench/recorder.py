@@ -25,8 +25,7 @@ import numpy as np
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder import parts, recording
 from tests.builders import daemons
 from tests.builders.waiting import until

@@ -44,8 +44,7 @@ from rigctl.gateway.published_position import Cursor
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing, in_force
 from rigctl.ipc.ring import RingError
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime, daemons
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime, daemons
 from rigctl.recorder import audit_log
 from rigctl.recorder.file_reader import RecordingError, progress_of
 from rigctl.recorder.recorder_process import Recorder

@@ -14,8 +14,8 @@ from dataclasses import asdict
 from typing import Any
 
 from rigctl.client.connection import Client, NoDaemonError
+from rigctl.ipc.runtime_folder import RECORDED
 from rigctl.model.events import Kind
-from rigctl.model.signals import RECORDED
 from rigctl.recorder import parts, recording
 from tests.soak import judge, plan
 from tests.soak.load import Commander, Listener, Onlooker, PageReader, Visitors, Worker, filled

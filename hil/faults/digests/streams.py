@@ -18,8 +18,8 @@ from hil.wire import FRAME
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.samples import Quality, Verdict
-from rigctl.model.states import Flag, HeldBy, LoadAtRest, Mode, PowerOff
+from rigctl.model.signals import ENUMS
+from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal
 
 Digests = dict[str, dict[str, str]]
@@ -27,14 +27,6 @@ Digests = dict[str, dict[str, str]]
 _DIGITS = 16
 _FRAME = np.dtype([("t_ns", "<i8"), ("frame", f"V{FRAME.size}")])
 
-_QUALITY = dict.fromkeys(
-    ("tension_quality", "inclination_quality", "drive_quality", "rail_quality"), Quality
-)  # fmt: skip
-_VERDICTS = dict.fromkeys(("tension_verdict", "speed_verdict", "tangential_verdict", "normal_verdict"), Verdict)
-_RECORD: dict[str, type[IntEnum | IntFlag]] = {
-    "mode": Mode, "held_by": HeldBy, "power_off": PowerOff, "load_at_rest": LoadAtRest, "fault": Fault, "flags": Flag,
-    "checks": Check, **_QUALITY, **_VERDICTS,
-}  # fmt: skip
 _BY_NUMBER = {(Kind.NODE_STATE, "b"), (Kind.WITNESS, "a")}
 """Values of events that are hashed as numbers though they are members of an enumeration: no member of it is renamed."""
 _EVENT: dict[Kind, dict[str, type[IntEnum]]] = {
@@ -106,8 +98,8 @@ def _records(records: npt.NDArray[Any]) -> Iterator[tuple[str, str]]:
         column = records[name]
         if name == _CAUSE_BITS:
             yield name, _digest(_named(column, _fault_bits))
-        elif name in _RECORD:
-            yield name, _digest(_named(column, _namer(_RECORD[name])))
+        elif name in ENUMS:
+            yield name, _digest(_named(column, _namer(ENUMS[name].kind)))
         else:
             yield name, _digest(_plain(column))
 

@@ -59,6 +59,7 @@ function greet(message) {
   if (!hello || hello.server !== message.server) commands.rights();
   hello = message;
   names = message.signals;
+  strips.shown = message.strips;
   windowsS = message.windows_s;
   histogram.edges = message.edges_us;
   store.clear();

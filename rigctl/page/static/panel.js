@@ -5,7 +5,6 @@ const signed = (value, digits, unit) => (typeof value === "number" && value >= 0
 
 const BEFORE = "before arming";
 const REGULATED = ["TENSIONING", "COMPENSATING", "RELEASING"];
-const DEVICE_OF = { vertical_n: "tension", tension_n: "tension", stroke_mm: "drive", speed_mm_s: "drive", tangential_deg: "inclination", normal_deg: "inclination" };
 
 export class Panel {
   constructor(bar, mimic, alarms) {
@@ -94,25 +93,31 @@ export class Panel {
 
   numbers(state, values) {
     const doubts = state.doubts ?? {}, regulated = REGULATED.includes(state.mode);
-    this.value("vertical", values, "vertical_n", doubts, (v) => (v.toFixed(2) === "-0.00" ? "0.00" : v.toFixed(2)));
+    const { vertical_n } = values, there = typeof vertical_n === "number", words = there ? vertical_n.toFixed(2) : "-";
+    this.value(byId("vertical"), words === "-0.00" ? "0.00" : words, there ? doubts.tension : undefined);
     const known = !("tension" in doubts), compensating = known && typeof values.error_n === "number";
     const outside = compensating && !state.ramping && values.error_pct > this.bandPct;
     byId("vertical").closest(".tension").classList.toggle("outside", outside);
     set(byId("error"), !known ? `▲ not to be trusted: ${doubts.tension}` : state.ramping ? `on the way to ${fixed(values.target_n, 1, "N")}` : compensating ? `${outside ? "▲ " : ""}error ${signed(values.error_n, 2, "N")} (${fixed(values.error_pct, 2, "%")})` : state.mode === "TENSIONING" ? `on the way to ${fixed(values.target_n, 1, "N")}` : "not regulated");
     this.bar.show(known ? values.vertical_n : null, values.target_n, this.bandPct, regulated);
-    set(byId("target"), fixed(values.target_n, 1, "N"));
-    this.value("stroke", values, "stroke_mm", doubts, (v) => fixed(v, 2, "mm"));
-    this.value("speed", values, "speed_mm_s", doubts, (v) => signed(v, 2, "mm/s"));
-    for (const axis of ["tangential", "normal"]) this.value(axis, values, `${axis}_deg`, doubts, (v) => signed(v, 3, "°"));
+    for (const { name, label, text, doubt } of state.figures) this.value(this.figure(name, label), text, doubt ?? undefined);
+  }
+
+  // Made once, so that it can be selected.
+  figure(name, label) {
+    const found = byId(`value-${name}`);
+    if (found) return found;
+    const value = element("dd", "-");
+    value.id = `value-${name}`;
+    byId("values").append(element("dt", label), value);
+    return value;
   }
 
   // A value that is not trusted is struck through, with why.
-  value(id, values, name, doubts, words) {
-    const doubt = doubts[DEVICE_OF[name]], number = values[name], there = typeof number === "number";
-    const node = byId(id), doubtful = doubt !== undefined && there;
-    node.classList.toggle("doubtful", doubtful);
-    set(node, there ? words(number) : "-");
-    if (doubtful) node.title = doubt;
+  value(node, text, doubt) {
+    node.classList.toggle("doubtful", doubt !== undefined);
+    set(node, text);
+    if (doubt !== undefined) node.title = doubt;
     else node.removeAttribute("title");
   }
 

@@ -9,14 +9,6 @@ const GUTTER_PX = 78; // right of the traces: what the lines are
 const HAIR_PX = 0.7;
 const POINTS = 2 * Store.BUCKETS;
 
-// What each strip shows; `least`: smallest span of its axis.
-const STRIPS = [
-  { signal: "vertical_n", title: "tension, vertical", unit: "N", digits: 2, least: 10 },
-  { signal: "error_pct", title: "vertical error", unit: "%", digits: 3, least: 2 },
-  { signal: "stroke_mm", title: "stroke", unit: "mm", digits: 2, least: 5 },
-  { signal: "speed_mm_s", title: "speed", unit: "mm/s", digits: 2, least: 2 },
-];
-
 export class Strips {
   constructor(root, store) {
     this.root = root;
@@ -31,9 +23,19 @@ export class Strips {
     this.onView = () => {};
     this.x = new Array(POINTS).fill(0);
     this.target = new Array(POINTS).fill(null);
-    this.charts = STRIPS.map((strip) => this.make(strip));
+    this.charts = [];
     this.lane = this.makeLane();
     new ResizeObserver(() => this.resize()).observe(root);
+  }
+
+  // What each strip shows, from the catalogue of signals; `least`: smallest span of its axis.
+  set shown(strips) {
+    for (const chart of this.charts) {
+      chart.u?.destroy();
+      chart.box.remove();
+    }
+    this.charts = strips.map((strip) => this.make(strip));
+    this.restyle();
   }
 
   make(strip) {
@@ -47,7 +49,7 @@ export class Strips {
     const plot = document.createElement("div");
     plot.className = "plot";
     box.append(title, plot);
-    this.root.append(box);
+    this.root.insertBefore(box, this.lane.parentElement);
     return { strip, box, plot, value, note, y: new Array(POINTS).fill(null), u: null, range: [0, 1] };
   }
 
@@ -160,7 +162,7 @@ export class Strips {
       this.onView();
     });
     this.root.addEventListener("keydown", (event) => {
-      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key], u = this.charts[0].u;
+      const step = { ArrowLeft: -1, ArrowRight: 1 }[event.key], u = this.charts[0]?.u;
       if (event.key === "Escape") this.follow();
       if (!step || !u) return;
       event.preventDefault();
@@ -233,7 +235,7 @@ export class Strips {
 
   // The time of day, and under it the names of what the markers mark; of names that would overlap, the first.
   names(min, max) {
-    const area = sized(this.lane), u = this.charts[0].u;
+    const area = sized(this.lane), u = this.charts[0]?.u;
     if (!area || !u) return;
     const { ctx, width } = area, left = AXIS_PX, right = width - GUTTER_PX, c = this.c;
     const x = (at) => left + ((at - min) / (max - min)) * (right - left);
@@ -347,10 +349,10 @@ export class Strips {
   }
 
   title(values, compensating, doubts, mode) {
-    const byName = { vertical_n: values.vertical_n, error_pct: !compensating ? null : (100 * values.error_n) / values.target_n, stroke_mm: values.stroke_mm, speed_mm_s: values.speed_mm_s };
+    const error = !compensating ? null : (100 * values.error_n) / values.target_n;
     for (const { strip, value, note } of this.charts) {
-      const number = byName[strip.signal];
-      const doubt = doubts[strip.signal === "vertical_n" || strip.signal === "error_pct" ? "tension" : "drive"];
+      const number = strip.signal === "error_pct" ? error : values[strip.signal];
+      const doubt = doubts[strip.device];
       value.textContent = doubt !== undefined ? `- (${doubt})` : typeof number === "number" ? `${number.toFixed(strip.digits)} ${strip.unit}` : "-";
       if (strip.signal === "vertical_n") note.textContent = `  target ${trimmed(values.target_n)} N, band ±${this.settings?.band_pct ?? 5} %`;
       if (strip.signal === "error_pct") note.textContent = doubt !== undefined ? "" : compensating ? `  ${signed(values.error_n, 3)} N` : mode === "TENSIONING" ? "  (on the way to the target)" : "  (nothing is regulated)";

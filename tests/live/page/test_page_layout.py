@@ -185,7 +185,15 @@ def test_a_value_in_doubt_is_struck_through_wherever_it_is(
     seen = opened(chromium, address(), (1440, 900))
     shows(seen, picture, SILENT)
     struck = "(at) => getComputedStyle(document.querySelector(at)).textDecorationLine.includes('line-through')"
-    for node in ("#vertical", "#stroke", "#speed", "#tangential", "#m-tension", "#m-stroke-text", "#m-angle"):
+    for node in (
+        "#vertical",
+        "#value-stroke_mm",
+        "#value-speed_mm_s",
+        "#value-tangential_deg",
+        "#m-tension",
+        "#m-stroke-text",
+        "#m-angle",
+    ):
         assert seen.page.evaluate(struck, node), node
     assert seen.run("document.querySelector('.bar-needle') === null")  # the gauge points nowhere
     assert "slack" not in seen.text("#mimic")

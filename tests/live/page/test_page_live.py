@@ -58,7 +58,7 @@ def test_what_the_page_says_is_what_the_daemon_says(chromium: Browser, readonly:
         text = client.past_events()[0]["text"]
     with view(chromium, readonly) as seen:
         assert seen.text("#mode") == state["mode"]
-        assert seen.text("#target") == f"{state['target_n']:.1f} N"
+        assert seen.text("#value-target_n") == f"{state['target_n']:.1f} N"
         assert seen.text("#rig") == daemon.settings.rig
         assert text in seen.text("#event-list")
         assert "nobody holds it" in seen.text("#rows")

@@ -17,8 +17,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from rigctl.config import rig_file as config
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.model.states import Mode
 from rigctl.recorder import recording
 from tests.bench.recorder import PATIENT, judged, strike

@@ -13,10 +13,9 @@ import pytest
 
 from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
-from rigctl.ipc.runtime_folder import ACTIVE
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
 from rigctl.ipc.supervision import Doing, Supervision
 from rigctl.model.events import Kind
-from rigctl.model.signals import RECORDED
 from rigctl.recorder import chain
 from tests.builders.miniature import Daemon
 from tests.builders.waiting import patience_s, until

@@ -31,12 +31,11 @@ from rigctl.ipc import ledger, runtime_folder
 from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.ipc.notes import Note
 from rigctl.ipc.record import RECORD, REPLY
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
 from rigctl.model.checks import HOST_CHECKS
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.signals import RECORDED
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Setting, Verb
 from rigctl.wire.user_name import PAGE

@@ -12,8 +12,7 @@ import pytest
 
 from rigctl.config.audit_section import AuditSettings
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.recorder_process import Recorder
 from tests.builders.waiting import patience_s, until
 from tests.unit.recorder.test_sources import entries

@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED, Runtime
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
-from rigctl.model.signals import RECORDED
 from rigctl.recorder import parts, recording
 from rigctl.recorder.recorder_process import Recorder
 

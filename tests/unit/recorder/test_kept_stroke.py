@@ -13,8 +13,7 @@ from rigctl.control.brake_flag import KeptBrake
 from rigctl.control.homed import LastStroke
 from rigctl.control.last_stroke import KeptValues
 from rigctl.ipc.record import RECORD
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.model.states import Flag, Mode
 from rigctl.recorder.recorder_process import Recorder
 from tests.builders.durable import Disk

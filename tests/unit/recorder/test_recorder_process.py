@@ -11,8 +11,7 @@ import pytest
 
 from rigctl.config.settings import RigSettings
 from rigctl.ipc.record import REPLY
-from rigctl.ipc.runtime_folder import Runtime
-from rigctl.model.signals import RECORDED
+from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.recorder.audit_log import moment
 from rigctl.recorder.recorder_process import PUBLISH_NS, Recorder, _serve, main
 from rigctl.recorder.recording import read
