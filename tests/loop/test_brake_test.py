@@ -14,7 +14,6 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
-from rigctl.control.safety import Trip
 from rigctl.control.tension import Gains
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
@@ -184,7 +183,7 @@ def test_a_cause_that_takes_the_power_off_leaves_a_load_kept_in_hold_to_the_moto
     assert held.record["held_by"] == HeldBy.MOTOR
     assert held.record["flags"] & Flag.CARRIES
     assert abs(held.rig.truth.stroke_mm - before_mm) < SINKS_MM
-    held.loop.machine.trip(Trip(Fault.E_STOP, 1.0, 0.0, Action.QUICK_STOP), held.clock.now())
+    trip(held, Action.QUICK_STOP, Fault.E_STOP)
     held.run(1.0)
     assert not held.view.carries, "what concerns moving the load stops the motor"
 

@@ -92,7 +92,7 @@ def test_a_brake_that_slips_at_once_gives_the_load_back_with_a_fault(held: Locks
 def test_a_hold_while_the_motor_takes_the_load_back_does_not_leave_it_on_the_brake(held: Lockstep) -> None:
     put_in(held, brake_slips(1.5))
     before_mm = held.rig.truth.stroke_mm
-    while not held.loop.machine.sequence.taking:
+    while not held.view.taking:
         held.run(0.002)
     assert held.command(Verb.HOLD) is Refusal.NONE
     assert held.run(1.0)["held_by"][-1] == HeldBy.MOTOR
