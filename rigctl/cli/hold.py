@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rigctl.cli.options import Connect, Json, Operator, Rig
 from rigctl.cli.verbs import give_and_end
+from rigctl.model.verbs import Verb
 
 
 def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator: Operator = None) -> None:
@@ -12,4 +13,4 @@ def hold(json: Json = False, connect: Connect = None, rig: Rig = None, operator:
     To a daemon of this computer and user it goes past the network, as a datagram to a socket of the loop
     (FOLDER/hold.UID in memory), and works while every other process hangs or is gone; to any other as every command.
     """
-    give_and_end("hold", json, connect, rig, operator)
+    give_and_end(Verb.HOLD, json, connect, rig, operator)

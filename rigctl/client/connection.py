@@ -41,6 +41,7 @@ from rigctl.client.stream_source import Question
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.ipc import wall_clock
+from rigctl.model.verbs import COMMAND_S, Verb
 from rigctl.wire import keys
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
@@ -54,19 +55,10 @@ ABSENT = "absent, or not allowed"  # an access list refuses without an answer
 FORMER = "the daemon is of an earlier version: restart the daemon to command it"
 OPEN_S = 2.0
 ASK_S = 2.0
-COMMAND_S = 6.0  # the gateway answers within 4 s
-# A trial is answered after its end: 10 s at most, an arm after 23 s (settings read back 15 s, stop and brake 8 s).
-TRIAL_S = 30.0
 WEIGHT_S = 120.0  # until a weight is hung on the cell, whose creep is then recorded
-GAINS_S = 65.0  # the gateway has them judged within 60 s
-RESPONSE_S = 160.0  # a frequency response takes 90 s at most, its evaluation 60 s
 _RIG = re.compile(r"[a-z][a-z0-9_]{0,31}")
 _EVENTS_DEPTH = 4096
 _HOLD = "hold"
-_LONGER = ("arm", "tension", "release", "carry", "lower", "brake_test", "tare", "calibrate", "identify")
-_LIMITS_S = {**dict.fromkeys(_LONGER, TRIAL_S), "gains": GAINS_S, "response": RESPONSE_S}
-
-
 _Some = TypeVar("_Some")
 
 
@@ -430,7 +422,7 @@ class Client:
         body: dict[str, Any] = {} if value is None else {"value": value}
         body |= {name: option for name, option in options.items() if option}
         creep_s = float(options.get("creep_s", 0.0))
-        limit_s = _LIMITS_S.get(verb, COMMAND_S)
+        limit_s = next((one.row.answered_s for one in Verb if one.name.lower() == verb), COMMAND_S)
         return self._commanded(verb, operator, body, limit_s + (WEIGHT_S + creep_s if creep_s else 0.0))
 
     def take_lease(self, operator: str, reason: str = "") -> dict[str, Any]:

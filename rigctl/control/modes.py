@@ -10,7 +10,7 @@ from rigctl.control.situation import Situation
 from rigctl.ipc.record import COMMAND
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.states import Event, Mode, Witness
-from rigctl.model.verbs import CARRY_S, STROKE_TOLERANCE_MM, TRIED_IN, VALUES, Refusal, Verb
+from rigctl.model.verbs import CARRY_S, STROKE_TOLERANCE_MM, TRIED_IN, VALUES, Refusal, Verb, VerbTrait, having
 
 
 def command_slot(t_ns: int, id_: int, code: int, *values: float) -> tuple[Any, ...]:
@@ -172,6 +172,15 @@ class Transition:
     guard: Guard | None = None
 
 
+_GUARDS: dict[str, Guard] = {
+    guard.__name__: guard
+    for guard in (
+        preflight_passed, drive_at_fault, target_in_bounds, move_known, rope_unloaded, rope_tight_if_needed,
+        held_response, regulated_response, stroke_as_measured, motor_may_carry, brake_fails_to_carry,
+        brake_fails_to_lower, brake_testable,
+    )
+}  # fmt: skip
+"""By the names that the rows of commands have."""
 _WITNESSES = frozenset(map(float, Witness))
 _MAY_MOVE = tuple(mode for mode in Mode if mode.may_move)
 
@@ -217,38 +226,14 @@ class Decision:
     """The command ends what is under way, and does no more."""
 
 
-FILED = frozenset({*TRIED_IN, Verb.GAINS})  # their results are put on record before they take effect
-
-_TRIAL_GUARD: dict[Verb, Guard] = {Verb.TARE: rope_unloaded, Verb.IDENTIFY: rope_tight_if_needed}
-
+FILED = having(VerbTrait.FILED)
 WITHOUT_EVENT: dict[tuple[Mode, Verb], Guard | None] = {
-    (Mode.DISARMED, Verb.ARM): preflight_passed,  # no event yet: ENABLED follows from the drive
-    (Mode.DISARMED, Verb.RESET): drive_at_fault,
-    **{(mode, Verb.CONFIRM_STROKE): stroke_as_measured for mode in (Mode.DISARMED, Mode.FAULT)},
-    (Mode.COMPENSATING, Verb.MOVE): move_known,
-    (Mode.FAULT, Verb.DISARM): None,  # power off, brake closed; the fault stays latched
-    (Mode.FAULT, Verb.CARRY): motor_may_carry,
-    **{(mode, Verb.CARRY): brake_fails_to_carry for mode in (Mode.DISARMED, Mode.HOLD)},  # BRAKE_SLIPS is latched first
-    **{(mode, Verb.LOWER): brake_fails_to_lower for mode in (Mode.DISARMED, Mode.HOLD)},
-    (Mode.HOLD, Verb.BRAKE_TEST): brake_testable,
-    **{(mode, Verb.TARGET): target_in_bounds for mode in Mode},
-    **{(mode, Verb.GAINS): None for mode in Mode},
-    **{(mode, verb): _TRIAL_GUARD.get(verb) for verb, modes in TRIED_IN.items() for mode in modes},
-    (Mode.HOLD, Verb.RESPONSE): held_response,
-    (Mode.COMPENSATING, Verb.RESPONSE): regulated_response,
+    (mode, verb): _GUARDS[name] if name else None for verb in Verb for mode, name in verb.row.modes.items()
 }
 """Commands that change no mode, or not at once, with their guards."""
-
-WHILE_DISARMING = frozenset({Verb.TARGET, Verb.GAINS, Verb.DISARM})
-"""Commands that leave a DISARM under way as it is."""
-NEEDS_MOTOR = frozenset(
-    {Verb.TENSION, Verb.RELEASE, Verb.IDENTIFY, Verb.RESPONSE, Verb.CARRY, Verb.LOWER, Verb.BRAKE_TEST}
-)
-"""With the load on the brake, these first have the motor take it back."""
-ENDS_PENDING = frozenset({Verb.ARM, Verb.DISARM, Verb.HOLD, Verb.RESET, *NEEDS_MOTOR})
-"""Accepted, these end a command that waits for the drive or for its read-back."""
-CARRIES = frozenset({Verb.CARRY, Verb.LOWER})
-"""Commands for a load that the brake does not hold."""
+WHILE_DISARMING, CARRIES = having(VerbTrait.LEAVES_DISARM), having(VerbTrait.CARRIES)
+NEEDS_MOTOR = having(VerbTrait.MOTOR)
+ENDS_PENDING = having(VerbTrait.ENDS_OTHERS) | NEEDS_MOTOR
 
 AT_ARM_ONLY = HOST_CHECKS | Check.CALIBRATION | Check.STROKE_NEAR_END | Check.SECOND_FORCE
 """Checks that bar no way out of a parked HOLD or a FAULT: what they guard against ends no move that is under way."""
@@ -271,13 +256,7 @@ _EVENT_OF = {
     Verb.DISARM: Event.DISARM,
     Verb.LOWER: Event.LOWER,
 }
-_ALREADY = {
-    (Mode.TENSIONING, Verb.TENSION),
-    (Mode.COMPENSATING, Verb.TENSION),
-    (Mode.RELEASING, Verb.RELEASE),
-    (Mode.DISARMED, Verb.DISARM),
-    *((mode, Verb.ARM) for mode in _MAY_MOVE),
-}
+_ALREADY = {(mode, verb) for verb in Verb for mode in verb.row.already}
 
 
 def answer(mode: Mode, verb: Verb, situation: Situation) -> Decision:

@@ -21,9 +21,7 @@ import msgspec
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
-from rigctl.control.arming import AWAIT_NS, LONG_TEST_NS
-from rigctl.control.frequency_trial import LONGEST_S
-from rigctl.control.modes import FILED, NEEDS_MOTOR, command_slot
+from rigctl.control.modes import FILED, command_slot
 from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
@@ -35,7 +33,7 @@ from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.writers import OPERATORS
-from rigctl.model.verbs import Setting, SettingOrder, Verb
+from rigctl.model.verbs import Setting, SettingOrder, Verb, VerbTrait, having
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
@@ -47,15 +45,10 @@ POLL_S = 0.002
 ANSWER_NS = COMMAND_LIFETIME_NS + 500_000_000  # the loop carries out no command older than its lifetime
 TAKE_NS = 4_000_000_000  # taking the load back: standstill with the brake closed 2 s, the drive 2 s
 WAIT_NS = {
-    Verb.ARM: 8_000_000_000,  # standstill 2 s, brake test 2 s, the drive 2 s
-    Verb.TARE: ANSWER_NS + 2_000_000_000,
-    Verb.CALIBRATE: ANSWER_NS + 2_000_000_000,
-    Verb.BRAKE_TEST: ANSWER_NS + AWAIT_NS + LONG_TEST_NS,
-    Verb.IDENTIFY: ANSWER_NS + 10_000_000_000,
-    Verb.RESPONSE: ANSWER_NS + round(LONGEST_S * 1e9),
+    verb: ANSWER_NS + round(verb.row.takes_s * 1e9) + (TAKE_NS if VerbTrait.MOTOR in verb.row.traits else 0)
+    for verb in Verb
 }
-WAIT_NS |= {verb: WAIT_NS.get(verb, ANSWER_NS) + TAKE_NS for verb in NEEDS_MOTOR}
-WAITING = frozenset({Verb.ARM, Verb.RESET, Verb.DISARM}) | NEEDS_MOTOR
+WAITING = having(VerbTrait.FOLLOWS_DRIVE) | having(VerbTrait.MOTOR)
 """Commands that may wait for the drive, and for the read-back before it."""
 READ_BACK_NS = 15_000_000_000  # added while the record shows ARMING: the loop reads the devices' settings back first
 _PENDING_MAX = 64  # commands without an answer, HOLD not counted
@@ -314,7 +307,7 @@ class CommandServer:
         if request.verb is Verb.ARM:  # the preflight must not use host checks of an earlier time
             self._write(Setting.HOST_CHECKS, float(self._preflight.verdict(now).host_checks))
         number = self._write(request.verb, *request.numbers)
-        wait_ns = WAIT_NS.get(request.verb, ANSWER_NS)
+        wait_ns = WAIT_NS[request.verb]
         if math.isfinite(request.creep_s):
             wait_ns += round((request.creep_s + STEP_WAIT_S) * 1e9)
         self._pending[number] = Pending(replace(given, request=admitted), now + wait_ns)

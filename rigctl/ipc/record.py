@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import IntFlag
 from operator import attrgetter
@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from rigctl.model.signals import RECORDED
+from rigctl.model.verbs import RING_FIELDS, RingField, Setting, Verb
 
 
 @dataclass(frozen=True)
@@ -82,41 +83,28 @@ EVENT = Slot(
     ),
 )
 
+
+def _of_commands() -> Iterator[Field]:
+    """The fields that commands and settings use, each once, with whose it is."""
+    users: dict[str, list[str]] = {}
+    fields: dict[str, RingField] = {}
+    names = {int(code): code.name for code in (*Verb, *Setting)}
+    for code, used in RING_FIELDS.items():
+        for field in used:
+            users.setdefault(field.name, []).append(names[code])
+            fields.setdefault(field.name, field)
+    for name, field in fields.items():
+        whose = ", ".join(users[name])
+        yield Field(name, "d", field.unit, f"{whose}: {field.meaning}" if field.meaning else whose)
+
+
 COMMAND = Slot(
     "command",
     (
         Field("t_ns", "q", "ns", "when it was given; an old one is not carried out"),
         Field("id", "Q", "", "comes back in the reply"),
         Field("verb", "B", "", "see rigctl.model.verbs.Verb and Setting; fields that it does not use are NaN"),
-        Field("target_n", "d", "N", "TARGET: vertical tension"),
-        Field("stroke_mm", "d", "mm", "CONFIRM_STROKE: as the operator has measured it"),
-        Field("weight_n", "d", "N", "CALIBRATE: known weight, for the audit log only"),
-        Field("near_end", "d", "", "ARM: 1 to drive away from an end of the stroke"),
-        Field("tight", "d", "", "IDENTIFY: 1 if the rope must be tight"),
-        Field("regulated", "d", "", "RESPONSE: 1 only while COMPENSATING, 0 only in HOLD"),
-        Field("length_mm", "d", "mm", "RELEASE: how far a slack rope is paid out; 0 or NaN: a ramp to slack"),
-        Field("move", "d", "", "MOVE: its number, 0 the move under way has ended"),
-        Field("carry_s", "d", "s", "CARRY: how long the motor carries before it lowers the load"),
-        Field("by", "d", "", "CARRY, LOWER: the witness that the operator names, see rigctl.model.states.Witness"),
-        Field("zero_n", "d", "N", "ZERO: reading of the unloaded cell"),
-        Field("scale", "d", "", "SCALE: factor of the cell's reading"),
-        Field("overdue", "d", "", "OVERDUE, SCALE: 1 the calibration is overdue, 0 it is not"),
-        Field("k_tension", "d", "mm/(s N)", "LAW_GAINS: see rigctl.control.tension.Gains"),
-        Field("k_speed", "d", "", "LAW_GAINS"),
-        Field("k_integral", "d", "mm/(s^2 N)", "LAW_GAINS"),
-        Field("sensitivity_peak", "d", "", "MARGINS: see the record"),
-        Field("sensitivity_peak_error", "d", "", "MARGINS"),
-        Field("host_checks", "d", "", "HOST_CHECKS: those that fail, bits, see rigctl.model.checks.HOST_CHECKS"),
-        Field("creep_s", "d", "s", "CALIBRATE: how long the creep is recorded; NaN for a mean reading"),
-        Field("zero_c", "d", "deg C", "ZERO: the cell's temperature then; NaN where it is not known"),
-        Field("zero_n_k", "d", "N/K", "ZERO: change of zero per kelvin from there on"),
-        Field("second_zero_n", "d", "N", "ZERO: of the second force path; NaN where there is none"),
-        Field("second_scale", "d", "", "SCALE: of the second force path; NaN: as it is"),
-        Field("creep_1", "d", "", "CREEP: share of the load, see rigctl.ipc.correction.CreepTerm; 0 and 0 for none"),
-        Field("creep_1_s", "d", "s", "CREEP: its time constant"),
-        Field("creep_2", "d", "", "CREEP: the second share"),
-        Field("creep_2_s", "d", "s", "CREEP: its time constant"),
-        Field("creep_held_s", "d", "s", "CREEP: time since the load came on a cell at rest; NaN: it was always there"),
+        *_of_commands(),
     ),
 )
 

@@ -12,7 +12,7 @@ from rigctl.model.device_states import DriveState
 from rigctl.model.faults import Fault, Trait, faults_of
 from rigctl.model.quantity import significant
 from rigctl.model.states import Mode
-from rigctl.model.verbs import CARRY_S, OFF_LIMIT_NS, STROKE_SPARE_MM, STROKE_TOLERANCE_MM, TRIED_IN, Refusal, Verb
+from rigctl.model.verbs import OFF_LIMIT_NS, STROKE_TOLERANCE_MM, TRIED_IN, Refusal, Verb
 
 
 def refusal_text(
@@ -38,8 +38,8 @@ def refusal_text(
             return "; ".join(failed_checks(checks, known)) + (_SILENT_HINT if checks & _UNSEEN else "")
         case Refusal.LOADED:
             return f"the rope is not unloaded: the cell reads {value:z.2f} N, more than calibration.tare_limit_n"
-        case Refusal.OUT_OF_RANGE if verb in _RANGES:
-            return _RANGES[verb]
+        case Refusal.OUT_OF_RANGE if verb.row.out_of_range:
+            return verb.row.out_of_range
         case Refusal.OUT_OF_RANGE:
             return f"target must be {significant(limits[0])} to {significant(limits[1], 'N')}"
         case Refusal.STROKE_DIFFERS:
@@ -79,11 +79,6 @@ def _drive_state(value: float) -> str:
     return f": it now reports {known[value].name.replace('_', ' ')}" if value in known else ""
 
 
-_RANGES: dict[Verb, str] = {
-    Verb.MOVE: "the number of a move is 1 to learning.moves of the rig file, 0 for the end of the one under way",
-    Verb.RELEASE: f"the length must leave the cylinder inside its stroke, {STROKE_SPARE_MM:g} mm from its end",
-    Verb.CARRY: f"the time must be {CARRY_S[0]:g} to {CARRY_S[1]:g} s",
-}
 _PLAIN_TEXT = {
     Refusal.CARRIED: "the motor carries the load for another {:.0f} s, because the brake does not hold it: rigctl "
     "lower, or rigctl disarm to try the brake, then reset",

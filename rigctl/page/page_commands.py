@@ -15,6 +15,7 @@ from typing import Any
 from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.config.typed_number import TypedNumberError
+from rigctl.model.verbs import Verb
 from rigctl.page import typed_fields
 from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
@@ -47,25 +48,13 @@ def meaning(verb: str, value: float | None, state: dict[str, Any]) -> str:
     """The effect of a command, in one line."""
     target, now = worded(state, "target_n"), measured(state, "tension_n", 1)
     stroke = measured(state, "stroke_mm", 1)
-    match verb:
-        case "arm":
-            what = f"drive on, brake open, stroke held at {stroke} with {now} on the rope"
-        case "tension":
-            what = f"ramp from {now} to {target} and hold it; the stroke moves from {stroke}"
-        case "release" if value is not None:
-            what = f"pay out {number(value, 1, 'mm')} of the slack rope; the stroke moves from {stroke}"
-        case "release":
-            what = f"ramp from {now} down to a slack rope; the stroke moves from {stroke}"
-        case "disarm":
-            what = f"drive off, brake closed; {now} stay on rope and brake"
-        case "reset":
-            what = f"acknowledge {state.get('fault') or 'the fault'}: {state.get('fault_text') or 'its cause is gone'}"
-        case "carry":
-            what = f"drive on; the motor holds {now} for {number(value, 0, 's')}, then lowers it"
-        case "lower":
-            what = f"drive on; the motor lowers {now} until the rope is slack; the stroke moves from {stroke}"
-        case _:
-            what = f"hold {number(value, 1, 'N')} instead of {target}"
+    if verb == "release" and value is not None:
+        what = f"pay out {number(value, 1, 'mm')} of the slack rope; the stroke moves from {stroke}"
+    else:
+        fault, why = state.get("fault") or "the fault", state.get("fault_text") or "its cause is gone"
+        what = Verb[verb.upper()].row.effect.format(
+            target=target, now=now, stroke=stroke, value=value, fault=fault, why=why
+        )
     return f"{verb.upper()}: {what}"
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from rigctl.client import local_hold
 from rigctl.model.signals import ANGLES
+from rigctl.model.verbs import VerbTrait, having
 from rigctl.page import operator_panel, typed_fields
 from rigctl.page.chart_signals import STRIPS
 from rigctl.page.picture import Picture
@@ -21,9 +22,6 @@ _NUMBERS = (
     "tangential_deg", "tick", "skipped",
 )  # fmt: skip
 """What the browser draws, judges or says with others."""
-
-_IN_FAULT = ("carry", "lower")
-"""Verbs whose buttons are there in FAULT alone."""
 
 _MINUTE_S = 60
 
@@ -79,6 +77,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
     if state.get("mode") is None:
         return message
     why, shown = refused_now(state), state.get("mode") == "FAULT"
+    in_fault = {verb.name.lower() for verb in having(VerbTrait.IN_FAULT)}
     verbs = {name: why[name] for name in (verb.name.lower() for verb in BUTTONS)}
     if not why[PAY_OUT]:
         verbs["release"] = ""  # its button has a field for the length
@@ -90,7 +89,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "brake": figures.brake(state),
         "drive": figures.drive(state),
         "held_by": state.get("held_by"),
-        "not_now": not_now({verb: why for verb, why in verbs.items() if shown or verb not in _IN_FAULT}),
+        "not_now": not_now({verb: why for verb, why in verbs.items() if shown or verb not in in_fault}),
         "flag_names": state.get("flag_names", []),
         "verbs": verbs,
         "devices": operator_panel.devices(state, active),

@@ -16,13 +16,14 @@ from starlette.applications import Starlette
 from starlette.datastructures import Headers
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, PlainTextResponse, Response
+from starlette.responses import HTMLResponse, PlainTextResponse, Response
 from starlette.routing import BaseRoute, Mount, Route, WebSocketRoute
 from starlette.staticfiles import StaticFiles
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket
 
 from rigctl.config.built_type import built
+from rigctl.page import command_bar
 from rigctl.page.browser_stream import BrowserStream
 from rigctl.page.guard import DOCS_HEADERS, HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
@@ -146,7 +147,7 @@ class Page:
 
     @staticmethod
     async def _index(_request: Request) -> Response:
-        return FileResponse(STATIC / "index.html")
+        return HTMLResponse((STATIC / "index.html").read_text().replace(command_bar.MARK, command_bar.bar()))
 
     def _post(
         self, kind: type[Any], act: Callable[[PageCommands, Any], Answer]

@@ -20,7 +20,7 @@ from typing import Any
 
 from rigctl.identity.access_file import Certified
 from rigctl.identity.roles import PEOPLE, Role
-from rigctl.model.verbs import Verb
+from rigctl.model.verbs import Verb, VerbTrait, having
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import ROOT, Keys
 from rigctl.wire.lease import ACTS
@@ -28,12 +28,7 @@ from rigctl.wire.lease import ACTS
 READ_TAILS = ("tele/**", "event/**", "events/**", "meta/**", "cfg/**")
 """Ends of the keys on which a daemon publishes and answers; everyone who is let in may read them."""
 LIVE_TAIL = "live/**"
-ROLE_OF_VERB = {
-    Verb.CALIBRATE: Role.MAINTAINER,
-    Verb.IDENTIFY: Role.MAINTAINER,
-    Verb.GAINS: Role.MAINTAINER,
-    Verb.RESPONSE: Role.MAINTAINER,
-}
+ROLE_OF_VERB = dict.fromkeys(having(VerbTrait.MAINTAINER), Role.MAINTAINER)
 """Role that a verb needs; operators may give every other verb, and HOLD among them."""
 
 _ANY_RIG = "*"

@@ -13,8 +13,7 @@ import msgspec
 
 from rigctl.config.built_type import built
 from rigctl.config.one_line import on_one_line
-from rigctl.control.arming import LONG_TEST_NS
-from rigctl.ipc.hold_socket import HELD, HoldAnswer
+from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import figure_of
 from rigctl.ipc.ring import RingReader
 from rigctl.model.check_words import failed_checks
@@ -22,59 +21,41 @@ from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.quantity import significant
 from rigctl.model.refusal_words import refusal_text
-from rigctl.model.states import Flag, Mode, Witness
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.states import Flag, Mode
+from rigctl.model.verbs import Option, Refusal, Verb
 from rigctl.wire.lease import ACTS, ID_BYTES, is_id
-from rigctl.wire.meanings import VERBS as MEANINGS
 from rigctl.wire.record_names import ALIVE_NS
 from rigctl.wire.user_name import LONGEST
 
 VERBS = {verb.name.lower(): verb for verb in Verb}
-REGULATED = {"hold": 0.0, "compensating": 1.0}
-"""Where a RESPONSE may be measured, and the number in its slot."""
-WITNESSES = {"": Witness.BOTH, "encoder": Witness.ENCODER, "cell": Witness.CELL}
-"""What a CARRY or LOWER goes by, as the operator names it."""
-_OPTIONS = (
-    "value", "shunt", "adopt", "tight", "near_end", "supported", "creep_s", "where", "by", "gain_file", "name",
-)  # fmt: skip
 PAYLOAD_BYTES = 16_384  # room for a gain file
-_ALLOWED = '{"operator": "NAME"}'
-_ALLOWED_MORE = {
-    Verb.ARM: '{"operator": "NAME"} and "near_end": true',
-    Verb.TARGET: '{"operator": "NAME", "value": NEWTONS}',
-    Verb.CONFIRM_STROKE: '{"operator": "NAME", "value": MILLIMETRES}',
-    Verb.RELEASE: '{"operator": "NAME"} and "value": MILLIMETRES of a slack rope',
-    Verb.BRAKE_TEST: '{"operator": "NAME", "supported": true}',
-    Verb.MOVE: '{"operator": "NAME", "value": NUMBER}',
-    Verb.CARRY: '{"operator": "NAME", "value": SECONDS} and "by": "encoder" or "cell"',
-    Verb.LOWER: '{"operator": "NAME"} and "by": "encoder" or "cell"',
-    Verb.CALIBRATE: '{"operator": "NAME"} and "value": NEWTONS or "shunt": true, "adopt": true, "creep_s": SECONDS',
-    Verb.IDENTIFY: '{"operator": "NAME"} and "tight": true',
-    Verb.RESPONSE: '{"operator": "NAME"} and "where": "hold" or "compensating"',
-    Verb.GAINS: '{"operator": "NAME", "gain_file": TEXT, "name": "FILE"}',
-}
+_OPTIONS: dict[str, Option] = {option.name: option for verb in Verb for option in verb.row.options}
+"""Fields that a payload may have for some command; those of one name are of one kind."""
+
+
+def expected(verb: Verb) -> str:
+    """The form of a command's payload, for the words about another."""
+    needs = "".join(f', "{option.name}": {option.form}' for option in verb.row.options if option.required)
+    may = ", ".join(f'"{option.name}": {option.form}' for option in verb.row.options if not option.required)
+    return f'{{"operator": "NAME"{needs}}}' + (f" and {may}" if may else "")
 
 
 class RequestError(ValueError):
     """A query that is not a valid command; ``str()`` says what was found and what is expected."""
 
 
-@built
-class _CommandPayload(msgspec.Struct, forbid_unknown_fields=True):
-    operator: str
-    lease: Any = None
-    value: float | None = None
-    shunt: bool = False
-    adopt: bool = False
-    tight: bool = False
-    near_end: bool = False
-    supported: bool = False
-    creep_s: float | None = None
-    where: str = ""
-    by: str = ""
-    gain_file: str = ""
-    name: str = ""
-    run_id: str = ""
+_NOT_GIVEN: dict[type, Any] = {bool: False, float: None, str: ""}
+_CommandPayload: Any = built(
+    msgspec.defstruct(
+        "_CommandPayload",
+        [
+            ("operator", str), ("lease", Any, None), ("run_id", str, ""),
+            *((name, option.kind | None if option.kind is float else option.kind, _NOT_GIVEN[option.kind])
+              for name, option in _OPTIONS.items()),
+        ],
+        forbid_unknown_fields=True,
+    )
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -117,17 +98,15 @@ class Request:
     @property
     def numbers(self) -> tuple[float, ...]:
         """The numbers in the command's slot, in the order of `rigctl.model.verbs.VALUES`."""
-        second = {Verb.CALIBRATE: self.creep_s, Verb.CARRY: float(WITNESSES[self.by])}
-        return (self.number, second[self.verb]) if self.verb in second else (self.number,)
+        return tuple(
+            option.choices[getattr(self, option.name)] if option.choices else float(getattr(self, option.name))
+            for option in self.verb.row.options if option.field is not None
+        )  # fmt: skip
 
     @property
     def number(self) -> float:
-        """The number in the command's slot of the ring."""
-        options = {
-            Verb.IDENTIFY: float(self.tight), Verb.ARM: float(self.near_end),
-            Verb.RESPONSE: REGULATED.get(self.where, math.nan), Verb.LOWER: float(WITNESSES[self.by]),
-        }  # fmt: skip
-        return options.get(self.verb, self.value)
+        """The first of them; NaN for none."""
+        return next(iter(self.numbers), math.nan)
 
 
 def verb_of(name: str) -> Verb:
@@ -191,38 +170,35 @@ def parse(verb: Verb, payload: bytes | None) -> Request:
     Raises:
         RequestError: bad JSON, an unknown key, a missing or non-finite value, a wrong type.
     """
-    allowed = _ALLOWED_MORE.get(verb, _ALLOWED)
+    allowed = expected(verb)
     found = decoded(payload, _CommandPayload, allowed)
     operator = operator_of(found.operator)
-    _, options = MEANINGS[verb]
-    for name in _OPTIONS:
-        if name not in options and getattr(found, name) not in (None, False, ""):
+    own = {option.name: option for option in verb.row.options}
+    for name, option in _OPTIONS.items():
+        given = getattr(found, name)
+        if name not in own and given != _NOT_GIVEN[option.kind]:
             raise RequestError(f"found {name}, expected {allowed}")
-    if verb is Verb.GAINS and not (found.gain_file and found.name and found.name.isprintable()):
-        raise RequestError(f"found no gain file with a name, expected {allowed}")
-    if verb is Verb.BRAKE_TEST and not found.supported:
-        raise RequestError(f"found no supported: true, which says that the payload is, expected {allowed}")
-    if found.where not in ("", *REGULATED):
-        raise RequestError(f"found where: {found.where[:40]!r}, expected {' or '.join(REGULATED)}")
-    if found.by not in WITNESSES:
-        raise RequestError(f"found by: {found.by[:40]!r}, expected encoder or cell")
-    if found.value is None and verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY):
-        raise RequestError(f"found no value, expected {allowed}")
-    for number in (found.value, found.creep_s):
+        if option.choices and given not in option.choices:
+            words = " or ".join(filter(None, option.choices))
+            raise RequestError(f"found {name}: {given[:40]!r}, expected {words}")
+    for option in own.values():
+        if option.required and getattr(found, option.name) == _NOT_GIVEN[option.kind]:
+            raise RequestError(f"found no {option.name}, expected {allowed}")
+        number = getattr(found, option.name) if option.kind is float else None
         if number is not None and not math.isfinite(number):
-            raise RequestError(f"found value {number}, expected a finite number")
-    if verb is Verb.RELEASE and found.value is not None and found.value <= 0.0:
-        raise RequestError(f"found value {found.value:g}, expected a length of rope above 0 mm")
-    value = math.nan if found.value is None else found.value
+            raise RequestError(f"found {option.name} {number}, expected a finite number")
+        if number is not None and option.positive and number <= 0.0:
+            raise RequestError(f"found {option.name} {number:g}, expected {option.positive}")
+    if not found.name.isprintable():
+        raise RequestError(f"found a name that is not printable, expected {allowed}")
     try:
         lease = lease_of(found.lease)
     except RequestError:
         if verb is not Verb.HOLD:  # HOLD needs no lease, so what is no id must not refuse it
             raise
         lease = None
-    creep_s = math.nan if found.creep_s is None else found.creep_s
-    given = msgspec.structs.asdict(found) | {"operator": operator, "value": value, "creep_s": creep_s, "lease": lease}
-    return Request(verb, **given)
+    given = {name: value for name, value in msgspec.structs.asdict(found).items() if value is not None}
+    return Request(verb, **given | {"operator": operator, "lease": lease})
 
 
 @dataclass(frozen=True)
@@ -252,27 +228,6 @@ def newest_record(records: RingReader, standing: Mapping[Fault, str] = MappingPr
     return NewestRecord(fault, stroke_mm, tension_n, target_n, standing, arming)
 
 
-_DONE = {
-    Verb.ARM: "armed, {mode}, stroke {stroke}, tension {tension}",
-    Verb.TENSION: "ramping to {target}, {mode}",
-    Verb.RELEASE: "ramping to slack, {mode}",
-    Verb.HOLD: HELD,
-    Verb.DISARM: "drive off, brake closed, {mode}{latched}",
-    Verb.RESET: "fault cleared, {mode}",
-    Verb.TARGET: "{newtons}, {mode}",
-    Verb.TARE: "the cell reads {value:z.3f} N, {mode}",
-    Verb.CALIBRATE: "the cell reads {value:z.3f} N, {mode}",
-    Verb.IDENTIFY: "excited for {value:.1f} s, {mode}, stroke {stroke}",
-    Verb.RESPONSE: "excited for {value:.0f} s, {mode}",
-    Verb.CONFIRM_STROKE: "the stroke is {value:z.2f} mm, {mode}",
-    Verb.CARRY: "the motor carries the load for {value:.0f} s and lowers it then, {mode}",
-    Verb.LOWER: "the motor lowers the load until the rope is slack, {mode}",
-    Verb.BRAKE_TEST: f"the brake has held {{value:.0f}} N for {LONG_TEST_NS * 1e-9:g} s, the motor has it, {{mode}}",
-    Verb.MOVE: "learnt from {value:.0f} moves so far, {mode}",
-    Verb.GAINS: "{mode}",
-}
-
-
 _ANEW = "the loop ends, and the next one starts all devices up; it is DISARMED once they answer"
 """To a RESET of the silence, which leaves the fault to the loop that ends."""
 
@@ -283,7 +238,7 @@ def _done(request: Request, mode: Mode, value: float, newest: NewestRecord) -> s
         return _ANEW
     if request.value > 0.0 and verb is Verb.RELEASE:
         return f"paying out {request.value:.1f} mm of rope, {mode.name}"
-    return _DONE[verb].format(
+    return verb.row.done.format(
         mode=mode.name,
         latched=", the fault stays latched" if mode is Mode.FAULT else "",
         value=value,

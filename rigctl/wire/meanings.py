@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from rigctl.ipc.notes import Note
 from rigctl.model.events import Kind
-from rigctl.model.verbs import Verb
+from rigctl.model.verbs import Option, Verb
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.lease import LeaseAct
 
@@ -71,26 +71,29 @@ NOTES: dict[Note, str] = {
     Note.LEASE_NOT_BELIEVED: "lease.json holds no lease to be believed; nobody holds the lease",
 }
 
+_OPERATOR = ("operator", "string", "", "who gives it; required")
+_LEASE = ("lease", "string", "", "id of the lease it is given under, from the answer to who took it")
+_JSON = {bool: "boolean", float: "number", str: "string"}
+
+
+def _options() -> Rows:
+    """The fields of payloads, each once; of one that several commands have, the meaning for each."""
+    found: dict[str, dict[str, Option]] = {}
+    for verb in Verb:
+        for option in verb.row.options:
+            found.setdefault(option.name, {})[verb.name.lower()] = option
+    return tuple(
+        (name, _JSON[first.kind], "s" if name.endswith("_s") else "", first.meaning if len(same) == 1 else
+         "; ".join(f"{meaning} ({', '.join(v for v in same if same[v].meaning == meaning)})"
+                   for meaning in dict.fromkeys(option.meaning for option in same.values())))
+        for name, same in found.items() for first in [next(iter(same.values()))]
+    )  # fmt: skip
+
+
 PAYLOAD: Rows = (
-    ("operator", "string", "", "who gives it; required"),
-    (
-        "value",
-        "number",
-        "",
-        "the target or the known weight of calibrate in N; the stroke of confirm_stroke in mm; the number of a move; "
-        "the time of carry in s; the length of rope of release in mm",
-    ),
-    ("shunt", "boolean", "", "calibrate against the shunt"),
-    ("adopt", "boolean", "", "calibrate sets the scale, or with creep_s the creep"),
-    ("creep_s", "number", "s", "calibrate records the cell's creep for so long after the load's step"),
-    ("tight", "boolean", "", "identify only a tight rope"),
-    ("near_end", "boolean", "", "arm at an end of the stroke, to drive away from it"),
-    ("supported", "boolean", "", "brake_test: the payload is supported from below; required"),
-    ("where", "string", "", "response only in that mode: hold or compensating"),
-    ("by", "string", "", "carry and lower by one witness alone: encoder or cell"),
-    ("gain_file", "string", "", "text of a gain file"),
-    ("name", "string", "", "its name, for the record"),
-    ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
+    _OPERATOR,
+    *_options(),
+    _LEASE,
     ("run_id", "string", "", "run of the daemon it is meant for, from the active configuration; any other refuses it"),
 )
 LEASE_PAYLOAD: Rows = (
@@ -123,23 +126,7 @@ ANSWER: Rows = (
 )
 
 VERBS: dict[Verb, tuple[str, tuple[str, ...]]] = {
-    Verb.ARM: ("drive on, stroke held", ("near_end",)),
-    Verb.TENSION: ("ramp to the target, then compensate", ()),
-    Verb.RELEASE: ("ramp to slack, then hold; a slack rope: pay out so much, then hold", ("value",)),
-    Verb.HOLD: ("hold the stroke at once; anyone's, always, without a lease", ()),
-    Verb.DISARM: ("drive off, brake closed", ()),
-    Verb.RESET: ("acknowledge a latched fault whose cause is gone", ()),
-    Verb.TARGET: ("set the target of the vertical tension", ("value",)),
-    Verb.TARE: ("the unloaded cell's mean over 1 s becomes its zero", ()),
-    Verb.CALIBRATE: ("compare the cell with a known weight or the shunt", ("value", "shunt", "adopt", "creep_s")),
-    Verb.IDENTIFY: ("excite the plant for some seconds and measure it", ("tight",)),
-    Verb.RESPONSE: ("excite the plant with a multisine and measure its frequency response", ("where",)),
-    Verb.CONFIRM_STROKE: ("the stroke, measured at the cylinder, is what the drive's position says", ("value",)),
-    Verb.CARRY: ("the motor carries a load that the brake does not hold, so long", ("value", "by")),
-    Verb.LOWER: ("the motor lowers such a load until the rope is slack", ("by",)),
-    Verb.BRAKE_TEST: ("the brake has the load for 10 s, which clears that it fails; then the motor", ("supported",)),
-    Verb.MOVE: ("a move of the mechanism begins; 0: the one under way has ended", ("value",)),
-    Verb.GAINS: ("put other gains in force, once judged", ("gain_file", "name")),
+    verb: (verb.row.does, tuple(option.name for option in verb.row.options)) for verb in Verb
 }
 ACTS: dict[LeaseAct, tuple[str, tuple[str, ...]]] = {
     LeaseAct.TAKE: ("take the lease or renew it; from another only with a reason", ("reason",)),

@@ -20,9 +20,7 @@ from rigctl.model.refusal_words import refusal_text
 from rigctl.model.states import Mode
 from rigctl.model.verbs import CARRY_S, Refusal, Verb
 
-BUTTONS = (
-    Verb.RELEASE, Verb.DISARM, Verb.RESET, Verb.ARM, Verb.TENSION, Verb.TARGET, Verb.CARRY, Verb.LOWER,
-)  # fmt: skip
+BUTTONS = tuple(sorted((verb for verb in Verb if verb.row.button), key=lambda verb: verb.row.button))
 """In the order of the page's bar, after HOLD, which is always there."""
 PAY_OUT = "pay_out"
 """RELEASE with a length: on a slack rope, where RELEASE alone has nothing to do."""
@@ -121,7 +119,12 @@ def refused_with(state: Mapping[str, Any], verb: str, value: float | None) -> st
     bounds = bounds_of(state, name)
     if value is None or bounds is None or bounds[0] <= value <= bounds[1]:
         return ""
-    return f"found {significant(value)}, expected {significant(bounds[0])} to {significant(bounds[1], _UNITS[name])}"
+    return f"found {significant(value)}, expected {significant(bounds[0])} to {significant(bounds[1], _unit_of(verb))}"
+
+
+def _unit_of(verb: str) -> str:
+    """Of a command's number."""
+    return next(option.field.unit for option in Verb[verb.upper()].row.options if option.field is not None)
 
 
 def reason_now(state: Mapping[str, Any], verb: str) -> str:
@@ -130,7 +133,6 @@ def reason_now(state: Mapping[str, Any], verb: str) -> str:
     return str((found.get("reasons") or {}).get(verb, "")) if isinstance(found, dict) else ""
 
 
-_UNITS = {"target": "N", "carry": "s", PAY_OUT: "mm"}
 _NONE_RUNS = dict.fromkeys((*(verb.name.lower() for verb in Verb), PAY_OUT), NO_LOOP)
 _PRESENT = re.compile(r"cause still present: (\w+)")
 

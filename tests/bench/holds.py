@@ -32,9 +32,10 @@ from rich.console import Console
 from rich.table import Table
 
 from rigctl.client import local_hold
-from rigctl.client.connection import COMMAND_S, ChoiceError, Client, NoDaemonError
+from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.states import Mode
+from rigctl.model.verbs import COMMAND_S
 from tests.bench import hung_holds
 from tests.bench.flood import KINDS, TLS_KINDS, flooding
 from tests.builders import daemons

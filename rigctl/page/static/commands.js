@@ -1,6 +1,4 @@
 // Commands, where this browser has signed in to a page with operator rights. The server checks everything again.
-const VALUES = { target: "newtons", carry: "seconds", release: "millimetres" }; // commands with a number, and where it is entered
-const OPTIONAL = ["release"]; // a number that may be left out
 const byId = (id) => document.getElementById(id);
 
 export class Commands {
@@ -15,8 +13,8 @@ export class Commands {
     byId("confirm-no").addEventListener("click", () => this.ask(null));
     byId("sign-out").addEventListener("click", () => session.leave());
     byId("confirm").addEventListener("keydown", (event) => event.key === "Escape" && this.ask(null));
-    for (const [id, verb] of Object.entries(VALUES).map(([verb, id]) => [id, verb])) {
-      byId(id).addEventListener("keydown", (event) => event.key === "Enter" && document.querySelector(`[data-verb=${verb}]`).click());
+    for (const field of document.querySelectorAll(".target input")) {
+      field.addEventListener("keydown", (event) => event.key === "Enter" && field.closest(".target").querySelector("[data-verb]").click());
     }
     for (const button of document.querySelectorAll("[data-verb]")) {
       button.addEventListener("click", () => (button.dataset.why ? this.say(`${button.dataset.verb.toUpperCase()}: ${button.dataset.why}`, false) : this.give(button.dataset.verb)));
@@ -43,7 +41,7 @@ export class Commands {
     if (state.mode === "FAULT" && this.mode !== undefined && this.mode !== "FAULT") this.say("", true);
     this.mode = state.mode;
     for (const node of document.querySelectorAll(".in-fault")) node.classList.toggle("away", state.mode !== "FAULT");
-    byId("millimetres").closest(".field").classList.toggle("away", state.mode !== "HOLD");
+    for (const node of document.querySelectorAll("[data-mode]")) node.classList.toggle("away", state.mode !== node.dataset.mode);
     for (const [id, words] of Object.entries(state.bounds ?? {})) set(byId(`${id}-bounds`), words);
     this.verbs(state);
     byId("hold").classList.toggle("dead", Boolean(state.hold_dead)); // undefined would change it at every message
@@ -71,9 +69,10 @@ export class Commands {
     this.say(`${verb.toUpperCase()} ...`, true);
     const asked = performance.now();
     const body = { verb, reason };
-    const left = OPTIONAL.includes(verb) && (this.mode !== "HOLD" || !byId(VALUES[verb]).value);
-    if (verb in VALUES && !left) body.value = byId(VALUES[verb]).value; // the server reads it, as it reads a command line
-    byId("millimetres").value = ""; // a length is for one release alone
+    const field = document.querySelector(`[data-verb=${verb}]`)?.closest(".target")?.querySelector("input");
+    const mode = field?.closest("[data-mode]")?.dataset.mode; // a number that is for one mode may be left out
+    if (field && !(mode && (mode !== this.mode || !field.value))) body.value = field.value; // the server reads it, as it reads a command line
+    for (const once of document.querySelectorAll("[data-mode] input")) once.value = ""; // it is for one command alone
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;
     if (ok && answer.confirm) this.ask(answer);

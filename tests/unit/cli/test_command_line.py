@@ -19,6 +19,7 @@ from rigctl.cli.top_help import top_help
 from rigctl.cli.typer_app import program
 from rigctl.cli.verb_table import VERBS
 from rigctl.config import extras
+from rigctl.model.verbs import Verb
 from tests.builders.waiting import patience_s
 from tests.conftest import Command
 
@@ -128,7 +129,7 @@ def test_the_short_way_reads_a_hold_as_every_command_is_read(words: list[str], m
     monkeypatch.setenv("RIGCTL_KEY", "")
     found: list[HoldWords] = []
 
-    def give(_verb: str, json: bool, connect: str | None, rig: str | None, operator: str | None) -> None:
+    def give(_verb: Verb, json: bool, connect: str | None, rig: str | None, operator: str | None) -> None:
         found.append(HoldWords(json, connect, rig, operator, os.environ["RIGCTL_KEY"] or None))
 
     monkeypatch.setattr("rigctl.cli.hold.give_and_end", give)

@@ -14,9 +14,10 @@ from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.faults import Trait
 from rigctl.model.samples import Quality
 from rigctl.model.states import EStop, Flag
+from rigctl.model.verbs import VerbTrait
 from tests.builders.paths import ROOT
 
-FLAGS: list[type[IntFlag]] = [AiStatus, Check, EStop, Flag, FrameFlag, Quality, Trait]
+FLAGS: list[type[IntFlag]] = [AiStatus, Check, EStop, Flag, FrameFlag, Quality, Trait, VerbTrait]
 
 
 def test_every_kind_of_flag_is_looked_at() -> None:

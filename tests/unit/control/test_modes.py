@@ -140,7 +140,7 @@ def test_a_reset_of_an_armed_rig_leads_to_hold_unless_its_drive_is_at_fault() ->
 def test_what_a_trial_finds_is_put_on_record_and_so_are_gains() -> None:
     assert {*TRIED_IN, Verb.GAINS} == FILED
     for verb in TRIED_IN:
-        assert {mode for mode in Mode if verb in ACCEPTED[mode]} == set(TRIED_IN[verb])
+        assert {mode for mode in Mode if verb in ACCEPTED[mode]} == set(verb.row.modes)
 
 
 @pytest.mark.parametrize("value", [49.9, 350.1, -300.0, math.nan, math.inf])

@@ -6,11 +6,11 @@ import pathlib
 
 import pytest
 
-from rigctl.client import connection
 from rigctl.control import frequency_trial
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.ipc import calculation
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.verbs import Verb
 
 
 def test_a_gate_that_takes_too_long_refuses_in_words(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -25,5 +25,5 @@ def test_a_rig_without_settings_refuses_in_words(tmp_path: pathlib.Path) -> None
 
 
 def test_a_client_waits_longer_than_the_gate_may_take() -> None:
-    assert connection.GAINS_S > calculation.LIMIT_S
-    assert frequency_trial.LONGEST_S + calculation.LIMIT_S < connection.RESPONSE_S
+    assert Verb.GAINS.row.answered_s > calculation.LIMIT_S
+    assert Verb.RESPONSE.row.answered_s > frequency_trial.LONGEST_S + calculation.LIMIT_S

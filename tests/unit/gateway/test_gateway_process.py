@@ -20,7 +20,8 @@ from rigctl.client.connection import Client
 from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS
+from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, LONG_TEST_NS
+from rigctl.control.frequency_trial import LONGEST_S
 from rigctl.control.safety import table
 from rigctl.control.trials import AVERAGED_S
 from rigctl.gateway.command_rate import ALL_BURST
@@ -302,6 +303,8 @@ def test_the_holder_gets_a_command_through_a_flood_of_others(rig: Rig) -> None:
 def test_the_gateway_waits_longer_than_the_loop_may_take() -> None:
     assert WAIT_NS[Verb.TARE] > ANSWER_NS + AVERAGED_S * S
     assert WAIT_NS[Verb.CALIBRATE] > ANSWER_NS + AVERAGED_S * S
+    assert WAIT_NS[Verb.RESPONSE] > ANSWER_NS + LONGEST_S * S
+    assert WAIT_NS[Verb.BRAKE_TEST] > ANSWER_NS + AWAIT_NS + LONG_TEST_NS
     assert WAIT_NS[Verb.ARM] > AWAIT_NS + BRAKE_TEST_NS + AWAIT_NS
 
 
