@@ -305,12 +305,12 @@ class Machine:
         if self.sequence.pending is not None:
             self._end_command(refusal)
 
-    def end_trial(self, refusal: Refusal) -> None:
-        """Answer the trial under way, if there is one."""
+    def end_trial(self, refusal: Refusal, found: Mapping[str, float] = NO_VALUES) -> None:
+        """Answer the trial under way, if there is one, with the figures that it has found."""
         tried = self.sequence.tried
         if tried is not None:
             self.sequence = replace(self.sequence, tried=None)
-            self._answer(tried, refusal)
+            self._answer(tried._replace(found=found), refusal)
 
     def _end_command(self, refusal: Refusal) -> None:
         command = self.sequence.command

@@ -9,9 +9,10 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming, modes, trials
+from rigctl.control import arming, command_actions, modes, trials
 from rigctl.control.brake_flag import BrakeFlag
 from rigctl.control.carried_load import CarriedLoad
+from rigctl.control.command_actions import ACTIONS, ActedOn
 from rigctl.control.command_checks import CommandChecks
 from rigctl.control.hold_sockets import Hold, HoldSource
 from rigctl.control.homed import Homed
@@ -26,7 +27,6 @@ from rigctl.control.settings_in_force import SettingsInForce
 from rigctl.control.situation import Situation
 from rigctl.control.stage import READY, SLIPPED, Accepted, TickSeen
 from rigctl.control.tension import TensionLaw
-from rigctl.devices.objects import drive_state
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import COMMAND_LIFETIME_NS, HOLD_ID
 from rigctl.model.checks import HOST_CHECKS, Check
@@ -34,7 +34,7 @@ from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
 from rigctl.model.states import Mode, Witness
-from rigctl.model.verbs import TRIED_IN, VALUES, Refusal, Setting, Verb
+from rigctl.model.verbs import VALUES, Refusal, Setting, Verb
 
 _VERBS, _SETTINGS = frozenset(map(int, Verb)), frozenset(map(int, Setting))
 _Values = dict[str, float]  # of a command, by the names in `VALUES`
@@ -50,12 +50,6 @@ class _Waiting(NamedTuple):
     mode: Mode
 
 
-KNOWN_TEXT = " and is known not to hold, the motor has the load"
-_ABOUT_DRIVE = frozenset(
-    {Refusal.DRIVE_STATE, Refusal.DRIVE_TIMEOUT, Refusal.OFF_UNSEEN, Refusal.BRAKE_SLIPPED, Refusal.LITTLE_LOAD,
-     Refusal.STOP_RUNNING}
-)  # fmt: skip
-"""Refusals whose reply has a figure of drive or brake."""
 _NO_FIGURES: Mapping[str, float] = MappingProxyType({})
 LOOK_NS = 100_000_000  # period of what the displays offer
 
@@ -96,14 +90,13 @@ class Orders:
             settings, machine, observer, watch, readback, brake, carried, rope, self.settings, supervised=supervised
         )
         self._settings, self._machine, self._observer = settings, machine, observer
-        self._law, self._watch, self._logbook = law, watch, logbook
-        self._readback, self._homed, self._learning, self._holds = readback, homed, learning, holds
+        self._watch, self._logbook, self._readback, self._holds = watch, logbook, readback, holds
         self._brake, self._carried = brake, carried
+        self._on = ActedOn(machine, observer, law, watch, logbook, homed, learning, brake, carried, self.checks)
         self._waiting: _Waiting | None = None
         self.powered_until_ns = 0
         """The motor may hold until then for the trial under way; 0: the trial needs no power."""
         self._look_ns = 0
-        self._found: _Values = {}  # figures of the last trial
         self.length_mm = 0.0  # of the last RELEASE
         self._held_ns = 0  # when the last HOLD of a user of this computer was taken
 
@@ -152,8 +145,7 @@ class Orders:
                     self._logbook.load_bin(t_ns, part)
             if verdict is None:
                 return
-            self._found = trial.figures
-            machine.end_trial(verdict)
+            machine.end_trial(verdict, trial.figures)
         self.trial = None
 
     @property
@@ -219,46 +211,14 @@ class Orders:
 
     def _reply_to(self, t_ns: int, given: Answer, barred: Check = Check(0)) -> None:  # noqa: B008 - a constant
         """``barred``: by these checks, where the situation of the answer knows them."""
-        checks, figures = 0, {"tension_n": self._observer.tension_n}
+        checks = 0
         if given.refusal is Refusal.PREFLIGHT:
             failing = barred or self.checks.barring(given.command)
             checks = int(failing & ~arming.AWAITED_CHECKS or failing)  # name AWAITED_CHECKS only if alone
-        elif given.refusal in _ABOUT_DRIVE:
-            figures = self._of_drive(given)
         elif given.refusal is Refusal.CAUSE_PRESENT:
-            figures = {"cause": float(self._watch.present(self._observer.snapshot))}
             checks = self._watch.blocking(self._observer.snapshot)
-        elif given.refusal is Refusal.SUNK:
-            figures = {"moved_mm": self.checks.sunk_mm}
-        elif given.refusal is Refusal.DISAGREE:
-            figures = {"apart_mm": self._observer.snapshot.sinking.apart_mm}
-        elif given.refusal is Refusal.CARRIED or given.verb in (Verb.CARRY, Verb.LOWER):
-            figures = {"carried_s": max(0, self._machine.sequence.carry_until_ns - t_ns) * 1e-9}
-        elif given.refusal is Refusal.LOADED:
-            figures = {"reading_n": self._observer.inbox.cell.reading_n}
-        elif given.verb is Verb.BRAKE_TEST and given.refusal is Refusal.NONE:
-            figures = {"tension_n": given.command.test.tension_n}
-        elif given.verb is Verb.MOVE and self._learning is not None:
-            figures = {"taught": float(self._learning.taught)}
-        elif given.verb is Verb.CONFIRM_STROKE:
-            figures = {"stroke_mm": self._observer.snapshot.stroke_mm}
-        elif given.verb in (Verb.TARGET, Verb.TENSION):
-            figures = {"target_n": self._law.target_n}
-        elif given.verb in TRIED_IN and given.refusal is Refusal.NONE:
-            figures = self._found
-        self._reply(t_ns, given.id, given.refusal, checks, {**figures, **_taken(given)})
-
-    def _of_drive(self, given: Answer) -> dict[str, float]:
-        """The figure that a refusal on account of drive or brake is about."""
-        match given.refusal:
-            case Refusal.BRAKE_SLIPPED:
-                return {"moved_mm": given.command.test.moved_mm}
-            case Refusal.LITTLE_LOAD:
-                return {"needed_n": self._brake.wanted_n}
-            case Refusal.STOP_RUNNING:
-                return {"speed_mm_s": self._observer.inbox.drive.speed_mm_s}
-            case _:
-                return {"drive_state": float(drive_state(self._observer.inbox.drive.statusword))}
+        about = command_actions.figures(self._on, given, t_ns)
+        self._reply(t_ns, given.id, given.refusal, checks, {**about, **_taken(given)})
 
     def _obey(self, id_: int, verb: Verb, values: _Values, t_ns: int) -> None:
         machine, waiting = self._machine, self._waiting
@@ -307,9 +267,9 @@ class Orders:
         self, id_: int, verb: Verb, values: _Values, situation: Situation, t_ns: int, *, since_ns: int | None = None
     ) -> None:
         """``since_ns``: when the command came, if it has waited for the read-back."""
-        machine, observer = self._machine, self._observer
-        if verb in modes.CARRIES:
-            self._latch_slip(verb, situation, t_ns)
+        machine = self._machine
+        action = ACTIONS[verb]
+        action.before(self._on, verb, situation, t_ns)
         fault = machine.fault
         refusal = machine.command(id_, verb, situation, t_ns, values, since_ns)
         if refusal not in (None, Refusal.NONE):
@@ -325,33 +285,13 @@ class Orders:
             self._begin_trial(machine.sequence.tried, t_ns)
         if fault is not machine.fault:
             self.acknowledged(fault, t_ns)
-        if verb is Verb.TARGET and done:
-            self._law.aim(values["target_n"])
-        elif verb is Verb.MOVE and done and self._learning is not None:
-            tangential_rad, _, normal_rad, _ = observer.inclination.state
-            self._learning.begin(int(values["move"]), observer.snapshot.stroke_mm, tangential_rad, normal_rad)
-            self._logbook.event(t_ns, Kind.MOVE, int(values["move"]), self._learning.taught)
-        elif verb is Verb.CONFIRM_STROKE and done:
-            self._logbook.stroke(t_ns, self._homed.confirm(observer.snapshot.stroke_mm))
-
-    def _latch_slip(self, verb: Verb, situation: Situation, t_ns: int) -> None:
-        """A CARRY or LOWER of a rig without a fault: BRAKE_SLIPS is latched first, and the rest is as in FAULT."""
-        self._carried.begin(Witness(int(situation.by)), self._watch.standing, self._observer.snapshot)
-        if self._carried.named:
-            self._logbook.event(t_ns, Kind.WITNESS, self._carried.named, text=verb.name.encode())
-        if self._machine.mode is not Mode.FAULT:
-            self._trip_slip(t_ns)
-
-    def _trip_slip(self, t_ns: int) -> None:
-        trip = Trip(Fault.BRAKE_SLIPS, 0.0, 0.0, Action.HOLD, KNOWN_TEXT)
-        if self._machine.trip(trip, t_ns):
-            self._logbook.trip(t_ns, Kind.TRIP, trip)
+        if done:
+            action.begin(self._on, values, t_ns)
 
     def lower_to_end(self, t_ns: int) -> None:
         """The motor lowers the load that it has, by the witness that is in force; outside FAULT as after a slip."""
         if self._machine.mode is not Mode.FAULT:
-            self._carried.begin(Witness.BOTH, self._watch.standing, self._observer.snapshot)
-            self._trip_slip(t_ns)
+            self._on.begin_carrying(Witness.BOTH, t_ns)
         self._machine.lower(t_ns)
 
     def acknowledged(self, fault: Fault, t_ns: int) -> None:

@@ -110,7 +110,8 @@ class Accepted(NamedTuple):
     ``id`` is None where no operator has given it: it has no answer. ``values``: by the names of
     `rigctl.model.verbs.VALUES`. ``event``: of the modes, once it is carried out. ``carry_ns``: of a CARRY. ``test``:
     state of what goes before the drive's power. ``since_ns``: when it came, where the motor takes the load from the
-    brake for it. ``taken_s``: how long that took; NaN: it does not, or not yet.
+    brake for it. ``taken_s``: how long that took; NaN: it does not, or not yet. ``found``: figures of a trial that has
+    ended, by the names of their fields in the reply.
     """
 
     id: int | None
@@ -121,6 +122,7 @@ class Accepted(NamedTuple):
     test: Preparation = NOT_PREPARED
     since_ns: int | None = None
     taken_s: float = math.nan
+    found: Mapping[str, float] = NO_VALUES
 
 
 @dataclass(frozen=True)
