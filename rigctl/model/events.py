@@ -285,7 +285,7 @@ class Kind(IntEnum):
         "HOLD from {operator} via the local socket (uid {uid}, process {process})",
     )  # fmt: skip
     HOLD_SOCKET_CLOSED = (
-        66, "a user's socket for HOLD is read no more: he sent a descriptor",
+        66, "a user's socket for HOLD is read no more: a process of the user sent a descriptor along",
         (_a("uid", "user id"), _b("process", "process")),
         "the HOLD socket of uid {uid} is read no more: process {process} sent a descriptor along; HOLD of that user "
         "goes over the network until the loop starts anew",

@@ -89,7 +89,7 @@ _HELD_BY = Enumeration(
 _POWER_OFF = Enumeration(
     "power_off",
     PowerOff,
-    "what shows that a drive commanded off is without power: INPUT, HEARTBEAT, TENSION or STROKE, else AWAITED or "
+    "what shows that a drive commanded off is without power: INPUT, TENSION or STROKE, else AWAITED or "
     "UNCONFIRMED; null without such a command",
     none=True,
 )

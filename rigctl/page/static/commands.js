@@ -63,20 +63,21 @@ export class Commands {
     set(byId("why-not"), why.length ? `Not now: ${why.join(" · ")}` : "");
   }
 
-  // ``reason``: why the lease is taken over from another, which is asked for where one is held.
-  async give(verb, reason = "") {
+  // ``reason``: why the lease is taken over from another, which is asked for where one is held; ``value``: as it was
+  // typed before that.
+  async give(verb, reason = "", value = undefined) {
     this.ask(null);
     this.say(`${verb.toUpperCase()} ...`, true);
     const asked = performance.now();
     const body = { verb, reason };
     const field = document.querySelector(`[data-verb=${verb}]`)?.closest(".target")?.querySelector("input");
     const mode = field?.closest("[data-mode]")?.dataset.mode; // a number that is for one mode may be left out
-    if (field && !(mode && (mode !== this.mode || !field.value))) body.value = field.value; // the server reads it, as it reads a command line
+    if (field && !(mode && (mode !== this.mode || !(value ?? field.value)))) body.value = value ?? field.value; // the server reads it, as it reads a command line
     for (const once of document.querySelectorAll("[data-mode] input")) once.value = ""; // it is for one command alone
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;
     if (ok && answer.confirm) this.ask(answer);
-    else if (answer.holder) this.ask({ ...answer, verb, for_s: 60 });
+    else if (answer.holder) this.ask({ ...answer, verb, value: body.value, for_s: 60 });
     else this.say(answer.text, ok);
   }
 
@@ -108,7 +109,7 @@ export class Commands {
     const reason = byId("reason").value.trim();
     if (proposal.holder && !reason) return byId("reason").focus();
     this.ask(null);
-    if (proposal.holder) return this.give(proposal.verb, reason);
+    if (proposal.holder) return this.give(proposal.verb, reason, proposal.value);
     this.say("...", true);
     const { ok, answer } = await this.session.post("confirm", { confirm: proposal.confirm });
     this.say(answer.text, ok);

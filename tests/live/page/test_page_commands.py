@@ -142,6 +142,28 @@ def test_hold_is_taken_from_the_page_whoever_holds_the_lease(seen: PageView, run
         daemons.rigctl("lease", "return", "--operator", "anna", file=running.file)
 
 
+def test_a_length_is_that_of_the_release_that_takes_the_lease_over(seen: PageView, running: Running) -> None:
+    """It had been dropped with the question for the reason, and what was confirmed was a ramp to a slack rope."""
+    give(seen, "arm")
+    mode(seen, "HOLD")
+    take = daemons.rigctl("lease", "take", "--reason", "test", "--operator", "anna", file=running.file)
+    assert take.returncode == 0, take.stderr
+    try:
+        seen.until("rigctl.state.lease.text.startsWith('anna')")
+        seen.page.fill("#millimetres", "5")
+        seen.page.click("[data-verb=release]")
+        seen.until(f"document.querySelector('#confirm-text').textContent.includes('{ANNA} holds the lease')")
+        seen.page.fill("#reason", "the rope is too short")
+        seen.page.click("#confirm-yes")
+        seen.until("document.querySelector('#confirm-text').textContent.startsWith('RELEASE: ')")
+        assert seen.text("#confirm-text").startswith("RELEASE: pay out 5.0 mm of the slack rope")
+        seen.page.click("#confirm-no")
+        give(seen, "disarm")
+        mode(seen, "DISARMED")
+    finally:
+        daemons.rigctl("lease", "return", "--operator", "anna", file=running.file)
+
+
 def test_a_confirmation_holds_for_the_rig_as_it_was(seen: PageView, running: Running) -> None:
     server = running.server
     assert server.command("lease", {"act": "take"})[0] == 200
