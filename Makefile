@@ -56,7 +56,7 @@ bench: $(STAMP) system
 
 coverage: $(STAMP)
 	mkdir -p results
-	$(VENV)/bin/coverage run --branch --data-file results/.coverage --include rigctl/control/modes.py,rigctl/control/safety.py \
+	$(VENV)/bin/coverage run --branch --data-file results/.coverage --include rigctl/control/modes.py,rigctl/control/watch/safety.py \
 	    -m pytest tests/unit/control
 	$(VENV)/bin/coverage report --data-file results/.coverage --show-missing --fail-under 100
 

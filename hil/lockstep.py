@@ -15,15 +15,15 @@ from hil.hub import Hub
 from hil.loop_view import LoopView
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
-from rigctl.control.brake_flag import KeptBrake
+from rigctl.control.bus.hold_sockets import GivenHolds, Hold
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.hold_sockets import GivenHolds, Hold
-from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import brake_of
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.brake_flag import KeptBrake
+from rigctl.control.load.homed import LastStroke
+from rigctl.control.load.last_stroke import brake_of
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import LawFactory, Loop
 from rigctl.control.modes import command_slot
-from rigctl.control.tension import Gains
 from rigctl.devices import startup
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.memory_folder import memory_folder

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from rigctl.control.estimator import TensionFilter
+from rigctl.control.excitation.loop_probe import LoopProbe
+from rigctl.control.excitation.sensor_probe import ProbeFinding
+from rigctl.control.excitation.trials import Trial
+from rigctl.control.law.estimator import TensionFilter
 from rigctl.control.loop import Loop
-from rigctl.control.loop_probe import LoopProbe
-from rigctl.control.sensor_probe import ProbeFinding
-from rigctl.control.trials import Trial
 from rigctl.model.checks import Check
 from rigctl.model.reactions import Action
 from rigctl.model.verbs import Verb

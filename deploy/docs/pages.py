@@ -96,12 +96,13 @@ def _reference(package: str, title: str) -> str:
     """A page with every public module of a package; those that hold nothing public but a constant are left out."""
     folder = ROOT.joinpath(*package.split("."))
     lines = [f"# {title}: {package}", ""]
-    for file in sorted(folder.glob("*.py")):
+    for file in sorted(folder.glob("*.py") if package == "hil" else folder.rglob("*.py")):
         tree = ast.parse(file.read_text())
         defined = [node.name for node in tree.body if isinstance(node, ast.ClassDef | ast.FunctionDef)]
         if file.stem.startswith("__") or not any(not name.startswith("_") for name in defined):
             continue
-        lines += [f"::: {package}.{file.stem}", ""]
+        within = ".".join(file.relative_to(folder).with_suffix("").parts)
+        lines += [f"::: {package}.{within}", ""]
     return "\n".join(lines)
 
 

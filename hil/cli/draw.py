@@ -8,10 +8,11 @@ from collections.abc import Sequence
 from rich.console import Console
 
 from hil.cli.files import check_folder, check_outputs, publish, simulated_rig
-from hil.faults import fault_tables, naming
+from hil.faults import fault_tables
 from hil.faults.drawn import draw_file, named_draws, played_draws
 from hil.faults.drawn.draw import BLOCK
 from hil.faults.drawn.played_draws import Judged
+from hil.faults.judging import naming
 from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
 from rigctl import __version__

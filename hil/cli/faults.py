@@ -7,11 +7,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hil.cli.files import check_folder, check_names, check_outputs, publish, simulated_rig
-from hil.faults import fault_tables, gateway_kills, kills, lockstep_rows, named_rows, naming, processes
+from hil.faults import fault_tables, gateway_kills, kills, lockstep_rows, processes
 from hil.faults.catalogue import CATALOGUE, PARKED
 from hil.faults.expected import InjectedFault
-from hil.faults.judge import FaultResult
-from hil.faults.rows_parked import PARKED as PARKED_MODES
+from hil.faults.judging import naming
+from hil.faults.judging.judge import FaultResult
+from hil.faults.rows import named_rows
+from hil.faults.rows.rows_parked import PARKED as PARKED_MODES
 from hil.scenario.errors import ScenarioError
 from rigctl.cli.progress import progress
 from rigctl.model.states import Mode

@@ -8,7 +8,7 @@ import sys
 from hil.cli.files import simulated_rig
 from hil.faults import served
 from hil.faults.catalogue import CATALOGUE
-from hil.faults.standing import hindrance
+from hil.faults.judging.standing import hindrance
 from hil.scenario.errors import ScenarioError
 
 

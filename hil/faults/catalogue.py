@@ -7,20 +7,20 @@ of a healthy rig are ridden through within a bound on the true tension.
 
 from __future__ import annotations
 
-from hil.faults import rows_parked
-from hil.faults.rows_alone import ALONE
-from hil.faults.rows_brake import BRAKE
-from hil.faults.rows_bus import BUS
-from hil.faults.rows_commands import COMMANDS
-from hil.faults.rows_creep import CREEP
-from hil.faults.rows_drive import DRIVE, DRIVE_FEEDBACK, SUPERVISION
-from hil.faults.rows_io import IO, RAIL_ENCODER
-from hil.faults.rows_plant import CONTROLLER, PLANT
-from hil.faults.rows_probe import PROBE
-from hil.faults.rows_rigs import RIGS
-from hil.faults.rows_second_force import SECOND_FORCE
-from hil.faults.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
-from hil.faults.rows_turn import AFTER, INSIDE
+from hil.faults.rows import rows_parked
+from hil.faults.rows.rows_alone import ALONE
+from hil.faults.rows.rows_brake import BRAKE
+from hil.faults.rows.rows_bus import BUS
+from hil.faults.rows.rows_commands import COMMANDS
+from hil.faults.rows.rows_creep import CREEP
+from hil.faults.rows.rows_drive import DRIVE, DRIVE_FEEDBACK, SUPERVISION
+from hil.faults.rows.rows_io import IO, RAIL_ENCODER
+from hil.faults.rows.rows_plant import CONTROLLER, PLANT
+from hil.faults.rows.rows_probe import PROBE
+from hil.faults.rows.rows_rigs import RIGS
+from hil.faults.rows.rows_second_force import SECOND_FORCE
+from hil.faults.rows.rows_sensors import SENSOR_CELL, SENSOR_SLOPE
+from hil.faults.rows.rows_turn import AFTER, INSIDE
 
 CATALOGUE = (
     *SENSOR_CELL, *SENSOR_SLOPE, *IO, *RAIL_ENCODER, *SECOND_FORCE,

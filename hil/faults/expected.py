@@ -83,7 +83,7 @@ class Around:
     parked: bool = False
     """The brake has the load: HOLD and FAULT after their parking."""
     phase: str = ""
-    """Phase of arming in which the fault comes, see `hil.faults.arming_phases`; "": none is under way."""
+    """Phase of arming in which the fault comes, see `hil.faults.rows.arming_phases`; "": none is under way."""
     course: Injector | None = None
     """Commands of the run without the fault, where they move the load by more than the bound."""
 
@@ -98,7 +98,7 @@ class InjectedFault:
     time from the fault's beginning to the reaction, where physics give one, ``latency_ms`` that from the first sample
     beyond a limit of the rig. ``after_s``: the row is watched for so long after its ``seconds``. ``shown_late_ms``: age
     that the fault itself adds to the statusword shown. ``against_cut``: instead of ``band_n``, the load may be off by
-    10 % more than with the motor's power cut at the first tick that shows the fault (`hil.faults.first_sign`).
+    10 % more than with the motor's power cut at the first tick that shows the fault (`hil.faults.judging.first_sign`).
     """
 
     id: str

@@ -11,8 +11,8 @@ from rich.table import Table
 from rich.text import Text
 
 from hil.faults.expected import Expected, InjectedFault, Reaction
-from hil.faults.judge import FaultResult
-from hil.faults.naming import NamedRow, Naming, confusion, shares
+from hil.faults.judging.judge import FaultResult
+from hil.faults.judging.naming import NamedRow, Naming, confusion, shares
 from hil.faults.processes import ProcessFault
 from hil.runs.result_table import console
 from rigctl.model.quantity import count

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.live_rows_rig import GATEWAY, Live, LiveError, give, live
+from hil.faults.rows.live_rows_rig import GATEWAY, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.client.connection import Client
 from rigctl.client.samples import Blocks

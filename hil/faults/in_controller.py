@@ -8,7 +8,7 @@ from functools import partial
 
 from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step
 from hil.lockstep import Lockstep
-from rigctl.control.safety import Trip
+from rigctl.control.watch.safety import Trip
 from rigctl.model.faults import Fault
 from rigctl.model.parts import Part
 from rigctl.model.reactions import Action

@@ -9,9 +9,9 @@ import time
 from dataclasses import dataclass
 
 from hil.faults.expected import Reaction
-from hil.faults.judge import DRIVE_STOPS_MS
-from hil.faults.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
+from hil.faults.judging.judge import DRIVE_STOPS_MS
 from hil.faults.processes import TOLD_MS, Seen, judged, kills, strike
+from hil.faults.rows.live_rows_rig import CONTROL, GATEWAY, SUPERVISOR, Live, LiveError, live
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.model.states import Mode

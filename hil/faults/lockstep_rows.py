@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from hil.faults.catalogue import ROWS
 from hil.faults.expected import InjectedFault
-from hil.faults.judge import FaultResult, judge
+from hil.faults.judging.judge import FaultResult, judge
 from hil.faults.lockstep_run import Bench, by_start
 from hil.runs import runner
 from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.states import Mode
 
 _ROWS_PER_WORKER = 12

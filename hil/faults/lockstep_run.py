@@ -15,15 +15,16 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.branching import BranchPoint, Found
-from hil.faults import arming_phases, stand
+from hil.faults import stand
 from hil.faults.expected import Around, InjectedFault, Reaction
-from hil.faults.first_sign import cut_at_first_sign
+from hil.faults.judging.first_sign import cut_at_first_sign
+from hil.faults.rows import arming_phases
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.events import Kind
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

@@ -19,8 +19,8 @@ import yaml
 
 from hil.faults import wall_clock
 from hil.faults.expected import ACCURACY_N, DRIVE_STOPS, RIDE, Expected, Reaction
-from hil.faults.judge import DRIVE_STOPS_MS, STANDS_MM, FaultResult
-from hil.faults.live_rows_rig import CONTROL, GATEWAY, RECORDER, SUPERVISOR, VICTIMS, Live, LiveError, give, live
+from hil.faults.judging.judge import DRIVE_STOPS_MS, STANDS_MM, FaultResult
+from hil.faults.rows.live_rows_rig import CONTROL, GATEWAY, RECORDER, SUPERVISOR, VICTIMS, Live, LiveError, give, live
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
 from rigctl.model.parts import Part

@@ -19,8 +19,8 @@ from typing import Any, Protocol
 
 import msgspec
 
+from hil.faults.judging.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.faults.stand import Needs
-from hil.faults.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.hub import Hub
 from hil.rig import SimulatedRig
 from hil.scenario.errors import ScenarioError

@@ -16,8 +16,8 @@ from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
 from hil.truth import TRUTH_DTYPE
 from rigctl.config.settings import RigSettings
+from rigctl.control.law.tension import Gains
 from rigctl.control.loop import LawFactory
-from rigctl.control.tension import Gains
 from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.design.verdict import Design

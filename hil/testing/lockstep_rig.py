@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.standing import StandingFault, found, hindrance
+from hil.faults.judging.standing import StandingFault, found, hindrance
 from hil.lockstep import Lockstep, lockstep
 from hil.scenario.case import load
 from hil.scenario.play import Played, play

@@ -9,16 +9,16 @@ from hil.branching import BranchError
 from hil.faults import in_plant
 from hil.faults.catalogue import ROWS
 from hil.faults.expected import InjectedFault
+from hil.faults.judging.standing import restoring
 from hil.faults.lockstep_run import Bench, by_start, to_tensioning
 from hil.faults.stand import NoDeviceError, Stand
-from hil.faults.standing import restoring
 from hil.runs import runner
 from hil.runs.rows_file import RowsFile
 from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from hil.ways_out.step_follower import End, StepFollower
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 

@@ -13,7 +13,8 @@ from rigctl.config.bounds import Stop, findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings
 from rigctl.config.telemetry_section import open_listen
-from rigctl.control import held_tension, limits, safety, take_up
+from rigctl.control.load import held_tension, take_up
+from rigctl.control.watch import limits, safety
 from rigctl.design.verdict import Design
 from rigctl.devices import busload
 from rigctl.model.faults import Fault

@@ -82,7 +82,7 @@ def calibrate(
         end(USAGE, "found --shunt with --adopt, --weight-n or --creep, expected --shunt alone")
     if creep is None:
         end_with_answer(_give("calibrate", connect, rig, operator, weight_n, shunt=shunt, adopt=adopt), json)
-    from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S
+    from rigctl.control.excitation.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S
 
     shortest, longest = CREEP_SHORTEST_S / 60.0, CREEP_LONGEST_S / 60.0
     if not shortest <= creep <= longest:

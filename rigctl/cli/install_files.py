@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from rigctl.config import layout
 from rigctl.config.address import Address, is_local
 from rigctl.config.settings import RigSettings
-from rigctl.control import ending
+from rigctl.control.power import ending
 from rigctl.ipc.writers import WRITERS
 
 PYTHON_OF_PACKAGE = "/usr/lib/rigctl/bin/python3"
@@ -30,7 +30,7 @@ OTHERS = {"init.scope": "Scope", "system.slice": "Slice", "user.slice": "Slice",
 TXQUEUELEN = 10  # docs/can.md: five ticks of SYNC and command; a frame that waits longer is a stale command
 CARRIER_S = 30
 STOP_SPARE_S = 30
-"""For what ends after the loop: ``TimeoutStopSec`` is the loop's limit (`rigctl.control.ending`) and this."""
+"""For what ends after the loop: ``TimeoutStopSec`` is the loop's limit (`rigctl.control.power.ending`) and this."""
 _PLAIN = re.compile(r"[A-Za-z0-9_./:@\[\]-]+")
 _INTERFACE = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 _MARK = "# Written by `rigctl install`, which writes it anew; put changes into a drop-in of your own.\n"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.probe_plan import LEAST_CHANGE, ProbePlan, plan
-from rigctl.control.sensor_probe import LEAST_QUANTA
-from rigctl.control.unseen_travel import MOST_SHARE, frozen_mm, share_n
+from rigctl.control.excitation.probe_plan import LEAST_CHANGE, ProbePlan, plan
+from rigctl.control.excitation.sensor_probe import LEAST_QUANTA
+from rigctl.control.watch.unseen_travel import MOST_SHARE, frozen_mm, share_n
 from rigctl.design.gains import design
 from rigctl.devices.process_data import DriveUnits
 

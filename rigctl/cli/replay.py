@@ -15,7 +15,7 @@ from rigctl.model.quantity import count
 
 if TYPE_CHECKING:
     from rigctl.config.settings import RigSettings
-    from rigctl.control.tension import Gains
+    from rigctl.control.law.tension import Gains
     from rigctl.recorder.recording import Recording
     from rigctl.replay.compare import Against, Divergence
     from rigctl.replay.play import ProcessSpan

@@ -1,4 +1,4 @@
-"""The cell's creep from the record of a load's step (`rigctl.control.trials.LoadStep`). Pure functions.
+"""The cell's creep from the record of a load's step (`rigctl.control.excitation.trials.LoadStep`). Pure functions.
 
 After a step S of the load at time 0, on a cell at rest before, the reading is
 
@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission.cell_uncertainty import FLOOR_N, TEMPERATURE_N_H, student
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_SLOWEST_S, CreepTerm, creep_share
 
 Array = npt.NDArray[np.float64]

@@ -1,9 +1,9 @@
 """Drive lag and delay, stiffness, backlash and noise from the records of an excitation. Pure functions of arrays.
 
-The excitation (`rigctl.control.trials.Excitation`) is a rest, then pairs of small steps of speed up and down, the first
-of them shorter. Each quantity is fitted over all pairs and stated with its expanded uncertainty at 95 % (JCGM 100,
-Student's t for the number of pairs). That has two parts: the scatter of the fits to single pairs, which holds for any
-kind of noise, and errors that are the same in every pair (the screw's pitch error).
+The excitation (`rigctl.control.excitation.trials.Excitation`) is a rest, then pairs of small steps of speed up and
+down, the first of them shorter. Each quantity is fitted over all pairs and stated with its expanded uncertainty at 95 %
+(JCGM 100, Student's t for the number of pairs). That has two parts: the scatter of the fits to single pairs, which
+holds for any kind of noise, and errors that are the same in every pair (the screw's pitch error).
 
     tau dv/dt = u(t - Td) - v, ds/dt = v   fitted to the position, which the drive latches at the SYNC
     T = T0 + drift t + k q(s) + c v        q: the stroke behind a play of the width of the backlash

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy.typing as npt
 
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.control.logbook import ZERO_C_K
-from rigctl.control.trials import LoadBin
 from rigctl.model.events import Kind
 from rigctl.model.loop_event import LoopEvent
 

@@ -13,7 +13,7 @@ from rigctl.commission import identification
 from rigctl.commission.identification import Drive, Estimated, IdentificationError, Pairs, TrialSignals
 from rigctl.commission.motor_force import MotorForce, motor_force
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import QUIET_S
+from rigctl.control.excitation.trials import QUIET_S
 
 LAST_QUIET_S = 0.01  # end of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # largest uncertainty over value of a figure that is proposed

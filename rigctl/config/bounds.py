@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 BLIND_MM = 1.0
 """Largest stroke at top speed before a loss is detected, and in a ramp to standstill."""
 STUDY = "a study: no load hangs on it"
-PAYLOAD_MM_S = 80.0  # faster than any payload, see rigctl.control.cell_step
-NOISY = 30.0  # times the cell's noise, the limit of CELL_NOISY, see rigctl.control.cell_step
-OVERRANGE = 1.2  # of the cell's range, see rigctl.control.channels
+PAYLOAD_MM_S = 80.0  # faster than any payload, see rigctl.control.bus.cell_step
+NOISY = 30.0  # times the cell's noise, the limit of CELL_NOISY, see rigctl.control.bus.cell_step
+OVERRANGE = 1.2  # of the cell's range, see rigctl.control.bus.channels
 SAMPLES = 20  # for limits that count samples in a slow loop: fewer would trip by chance
 GRAVITY_MM_S2 = 9806.65
 SWING_SHARE = 0.1

@@ -20,15 +20,16 @@ from can.typechecking import CanFilters
 from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import last_stroke, realtime
-from rigctl.control.cell_correction import cell_history
+from rigctl.control import realtime
+from rigctl.control.bus.cell_correction import cell_history
+from rigctl.control.bus.hold_sockets import HoldSockets, prepared
+from rigctl.control.bus.network_state import master_ids
 from rigctl.control.clock import GridClock, SimulatedClock
-from rigctl.control.gain_table import ScheduledGains
-from rigctl.control.hold_sockets import HoldSockets, prepared
+from rigctl.control.law.gain_table import ScheduledGains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load import last_stroke
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
-from rigctl.control.network_state import master_ids
-from rigctl.control.tension import Gains
 from rigctl.devices import can_interface, startup
 from rigctl.devices import objects as od
 from rigctl.devices.process_data import COMMAND, ProcessData

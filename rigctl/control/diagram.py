@@ -5,14 +5,14 @@ from __future__ import annotations
 import sys
 from itertools import product
 
-from rigctl.control.arming import AWAIT_NS
-from rigctl.control.drive_command import SAFE_FRAMES, STOP_LIMIT_NS
-from rigctl.control.escalation import STEPS
-from rigctl.control.machine import SUPERVISED_NS
+from rigctl.control.commands.situation import Situation
 from rigctl.control.modes import TRANSITIONS, WITHOUT_EVENT, Guard, decide
-from rigctl.control.power_seen import SETTLES_NS, STILL_NS
-from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Input, Sequence, StageRow
+from rigctl.control.power.arming import AWAIT_NS
+from rigctl.control.power.drive_command import SAFE_FRAMES, STOP_LIMIT_NS
+from rigctl.control.power.machine import SUPERVISED_NS
+from rigctl.control.power.power_seen import SETTLES_NS, STILL_NS
+from rigctl.control.power.stage import ARM_LIMIT_NS, ROWS, STAGES, DriveStage, Input, Sequence, StageRow
+from rigctl.control.watch.escalation import STEPS
 from rigctl.model.reactions import Action
 from rigctl.model.states import Event, Mode
 from rigctl.model.verbs import OFF_LIMIT_NS, Refusal, Verb

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 @dataclass(slots=True)
 class SinkingSeen:
-    """The stroke on the closed brake, see `rigctl.control.sinking`; speed and distance are 0 elsewhere.
+    """The stroke on the closed brake, see `rigctl.control.load.sinking`; speed and distance are 0 elsewhere.
 
     ``speed_mm_s``: of the stroke, negative: the load sinks. ``apart_mm``: its motion in the last 5 s less that of the
     tension by stiffness, beyond what both may be wrong. ``left_mm``: how far it may sink until the rope is slack.
@@ -25,14 +25,14 @@ class SinkingSeen:
 
 @dataclass(slots=True)
 class PlausibilitySeen:
-    """Comparisons that no single signal shows, see `rigctl.control.plausibility`.
+    """Comparisons that no single signal shows, see `rigctl.control.watch.plausibility`.
 
     ``runaway_mm_s``: by how much the drive's speed is beyond any command, while that grows from sample to sample.
     ``speed_error_mm_s``: drive's speed against the model of the drive (lag and delay of the plant) under the commands
     sent. ``stroke_error_mm``: the same, of the position. ``contradiction_mm``: position against the speed reported
     beside it. ``unexplained_mm``: stretch by the tension that the stroke does not explain. ``cell_repeats``: samples in
     a row with the very same value. ``cell_unrest_n``: mean step from sample to sample over 100 ms, in which a single
-    step counts little. ``cell_step_n``: see `rigctl.control.cell_step`. ``tension_rate_n_s``: low-passed by 5 ms.
+    step counts little. ``cell_step_n``: see `rigctl.control.bus.cell_step`. ``tension_rate_n_s``: low-passed by 5 ms.
     """
 
     runaway_mm_s: float = 0.0
@@ -48,7 +48,7 @@ class PlausibilitySeen:
 
 @dataclass(slots=True)
 class HeldTensionSeen:
-    """The tension of a held stroke against its latch, see `rigctl.control.held_tension`.
+    """The tension of a held stroke against its latch, see `rigctl.control.load.held_tension`.
 
     ``stretched_mm``: disagreement of encoder and tension while the motor holds, if it is a share of the load;
     ``growing_mm``: the same while it grows. ``fallen_n``: from the highest tension that has lasted, on the brake, if it
@@ -64,7 +64,7 @@ class HeldTensionSeen:
 
 @dataclass(slots=True)
 class StrokeHoldSeen:
-    """A held stroke, see `rigctl.control.stroke_hold`: as it was found before this tick's correction.
+    """A held stroke, see `rigctl.control.load.stroke_hold`: as it was found before this tick's correction.
 
     ``excursion_mm``: stroke from the latch, 0 while nothing is latched. ``corrected_mm``: sum of the correction since
     the latch.
@@ -76,7 +76,7 @@ class StrokeHoldSeen:
 
 @dataclass(slots=True)
 class TakeUpSeen:
-    """The rope's force by the motor's current while it is tensioned, see `rigctl.control.take_up`.
+    """The rope's force by the motor's current while it is tensioned, see `rigctl.control.load.take_up`.
 
     ``rise_n``, ``shown_n``: rise of that force, and that of the tension. ``limit_n``: of their difference.
     ``excess_n``: beyond it, negative within it, 0 until it is known.
@@ -90,7 +90,7 @@ class TakeUpSeen:
 
 @dataclass(slots=True)
 class TravelSeen:
-    """How far the stroke has moved the load unseen by the cell, see `rigctl.control.unseen_travel`.
+    """How far the stroke has moved the load unseen by the cell, see `rigctl.control.watch.unseen_travel`.
 
     ``unseen_n`` against ``bound_n``, of the two bounds the one that is nearer. ``excess_n``: beyond it, negative
     within.
@@ -103,7 +103,7 @@ class TravelSeen:
 
 @dataclass(slots=True)
 class ProbeSeen:
-    """Whether cell, encoder, drive and rope answer the probe, see `rigctl.control.sensor_probe`.
+    """Whether cell, encoder, drive and rope answer the probe, see `rigctl.control.excitation.sensor_probe`.
 
     ``words``: of the newest finding. ``travel``: of the two that are watched the one that is nearer to its bound.
     """
@@ -118,7 +118,7 @@ class ProbeSeen:
 
 @dataclass(slots=True)
 class SignsSeen:
-    """What the newest tick of the sign checks has found, see `rigctl.control.signs`.
+    """What the newest tick of the sign checks has found, see `rigctl.control.watch.signs`.
 
     ``words``: of a stiffness beyond the family, until the next TENSIONING.
     """
@@ -130,7 +130,7 @@ class SignsSeen:
 
 @dataclass(slots=True)
 class ReadbackSeen:
-    """Settings of the devices that are lost, see `rigctl.control.readback`.
+    """Settings of the devices that are lost, see `rigctl.control.bus.readback`.
 
     ``lost``: objects that changed or gave no answer. ``disobeys``: the drive does not do as commanded without one that
     changed. ``unsupervised``: objects of the drive that were found with another value, so that it may not stop by
@@ -146,7 +146,8 @@ class ReadbackSeen:
 
 @dataclass(slots=True)
 class DriveStatusSeen:
-    """The drive's current, temperature and inputs, where its status is configured, see `rigctl.control.drive_status`.
+    """The drive's current, temperature and inputs, where its status is configured, see
+    `rigctl.control.power.drive_status`.
 
     ``age_ns``: of the newest. ``temperature_c``, ``current_a``: NaN while they are not known. ``flows``: there is more
     current than a motor without power has; ``lasts``: for so long that the motor has power, though the drive reports

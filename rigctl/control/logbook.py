@@ -7,20 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.hold_sockets import Hold
-from rigctl.control.homed import StrokeVerdict
-from rigctl.control.inbox import Inbox
-from rigctl.control.machine import Change, Machine
-from rigctl.control.move_learning import News
-from rigctl.control.network_state import Notices
+from rigctl.control.bus.hold_sockets import Hold
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.network_state import Notices
+from rigctl.control.bus.outbox import Outbox
+from rigctl.control.bus.readback import Lost
+from rigctl.control.commands.situation import Situation, slot_values
+from rigctl.control.excitation.trials import LoadBin
+from rigctl.control.law.move_learning import News
+from rigctl.control.law.run_out import stale_ns
+from rigctl.control.law.tension import TensionLaw
+from rigctl.control.load.homed import StrokeVerdict
 from rigctl.control.observer import Observer
-from rigctl.control.outbox import Outbox
-from rigctl.control.readback import Lost
-from rigctl.control.run_out import stale_ns
-from rigctl.control.safety import Trip
-from rigctl.control.situation import Situation, slot_values
-from rigctl.control.tension import TensionLaw
-from rigctl.control.trials import LoadBin
+from rigctl.control.power.machine import Change, Machine
+from rigctl.control.watch.safety import Trip
 from rigctl.ipc import ring
 from rigctl.ipc.hold_socket import NAME_BYTES
 from rigctl.ipc.record import COMMAND, EVENT, FRAME, HOLD, RECORD, REPLY, SITUATION, Slot
@@ -92,9 +92,9 @@ class Logbook:
         """The record of this tick.
 
         ``work_ns`` is of the tick before, ``command_seq`` is the last command taken.
-        ``causes``: see `rigctl.control.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
-        ``slipped_n``, ``brake_fails``: see `rigctl.control.brake_flag.BrakeFlag`. ``added_mm_s``, ``learned_mm_s``: to
-        the law's command, by a trial or the probe, and by a move that was learnt.
+        ``causes``: see `rigctl.control.watch.safety.Watch.standing`. ``checks``: bits of the checks that bar arming.
+        ``slipped_n``, ``brake_fails``: see `rigctl.control.load.brake_flag.BrakeFlag`. ``added_mm_s``,
+        ``learned_mm_s``: to the law's command, by a trial or the probe, and by a move that was learnt.
         """
         inbox, snapshot, kalman, slope = observer.inbox, observer.snapshot, observer.filter, observer.inclination
         cell, drive, tangential, normal = kalman.cell, kalman.drive, slope.tangential, slope.normal

@@ -7,37 +7,37 @@ from collections.abc import Callable, Sequence
 import can
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import frequency_trial
-from rigctl.control.brake_flag import KeptBrake
-from rigctl.control.cell_correction import CellHistory
+from rigctl.control.bus.cell_correction import CellHistory
+from rigctl.control.bus.hold_sockets import GivenHolds, HoldSource
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.outbox import CONTROLWORD_WRITTEN, Outbox
+from rigctl.control.bus.readback import Readback
 from rigctl.control.clock import Clock
-from rigctl.control.drive_command import STOP_LIMIT_NS, DriveCommand
-from rigctl.control.ending import Ending
-from rigctl.control.gain_table import GainTable
-from rigctl.control.held_load import HeldLoad
-from rigctl.control.held_tension import HeldTension
-from rigctl.control.hold_sockets import GivenHolds, HoldSource
-from rigctl.control.homed import Homed, LastStroke
-from rigctl.control.inbox import Inbox
-from rigctl.control.limits import rows as limit_rows
+from rigctl.control.commands.orders import Orders
+from rigctl.control.excitation import frequency_trial
+from rigctl.control.excitation.loop_probe import LoopProbe, NoProbe
+from rigctl.control.excitation.probe_plan import plan
+from rigctl.control.law.gain_table import GainTable
+from rigctl.control.law.move_learning import MoveLearning
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
+from rigctl.control.load.brake_flag import KeptBrake
+from rigctl.control.load.held_load import HeldLoad
+from rigctl.control.load.held_tension import HeldTension
+from rigctl.control.load.homed import Homed, LastStroke
+from rigctl.control.load.rope_memory import RopeMemory
+from rigctl.control.load.stroke_hold import StrokeHold
+from rigctl.control.load.stroke_motion import StrokeMotion
 from rigctl.control.logbook import Logbook, Rings, number
-from rigctl.control.loop_probe import LoopProbe, NoProbe
-from rigctl.control.machine import NOTHING, Machine, Outcome
-from rigctl.control.move_learning import MoveLearning
 from rigctl.control.observer import Observer
-from rigctl.control.orders import Orders
-from rigctl.control.outbox import CONTROLWORD_WRITTEN, Outbox
-from rigctl.control.power_seen import stopping_ns
-from rigctl.control.probe_plan import plan
-from rigctl.control.readback import Readback
-from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.safety import Trip, Watch
-from rigctl.control.signs import SignCheck
+from rigctl.control.power.drive_command import STOP_LIMIT_NS, DriveCommand
+from rigctl.control.power.ending import Ending
+from rigctl.control.power.machine import NOTHING, Machine, Outcome
+from rigctl.control.power.power_seen import stopping_ns
+from rigctl.control.power.stage import NOT_LEFT, TickSeen
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stage import NOT_LEFT, TickSeen
-from rigctl.control.stroke_hold import StrokeHold
-from rigctl.control.stroke_motion import StrokeMotion
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.watch.limits import rows as limit_rows
+from rigctl.control.watch.safety import Trip, Watch
+from rigctl.control.watch.signs import SignCheck
 from rigctl.devices.drive import LeftInDrive, Power, next_controlword
 from rigctl.devices.objects import drive_state
 from rigctl.devices.process_data import ProcessData

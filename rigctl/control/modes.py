@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from rigctl.control.situation import Situation
+from rigctl.control.commands.situation import Situation
 from rigctl.ipc.record import COMMAND
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.states import Event, Mode, Witness

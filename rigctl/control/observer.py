@@ -5,34 +5,34 @@ from __future__ import annotations
 import math
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.cell_correction import CellHistory
-from rigctl.control.channels import NEVER_NS
-from rigctl.control.drive_status import DriveStatus
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.held_tension import HeldTension
-from rigctl.control.homed import Homed
-from rigctl.control.inbox import Inbox
-from rigctl.control.inclination import InclinationFilter, Stretch
-from rigctl.control.load_at_rest import LoadRest
-from rigctl.control.loop_probe import NoProbe
-from rigctl.control.machine import Machine
-from rigctl.control.outbox import Outbox
-from rigctl.control.plausibility import Plausibility
-from rigctl.control.power_off import PowerOffWatch
-from rigctl.control.power_seen import ON_COMMANDS, PowerDetector, Standstill
-from rigctl.control.readback import Readback
-from rigctl.control.recent_count import RecentCount
-from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.run_out import RunOutTable, stale_ns
-from rigctl.control.signs import SignCheck
-from rigctl.control.sinking import Sinking
+from rigctl.control.bus.cell_correction import CellHistory
+from rigctl.control.bus.channels import NEVER_NS
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.outbox import Outbox
+from rigctl.control.bus.readback import Readback
+from rigctl.control.bus.recent_count import RecentCount
+from rigctl.control.bus.sync_timing import SyncTiming
+from rigctl.control.excitation.loop_probe import NoProbe
+from rigctl.control.law.estimator import TensionFilter, filter_model
+from rigctl.control.law.inclination import InclinationFilter, Stretch
+from rigctl.control.law.run_out import RunOutTable, stale_ns
+from rigctl.control.law.stretch_lead import StretchLead
+from rigctl.control.law.tension import Estimate, TensionLaw
+from rigctl.control.load.held_tension import HeldTension
+from rigctl.control.load.homed import Homed
+from rigctl.control.load.load_at_rest import LoadRest
+from rigctl.control.load.rope_memory import RopeMemory
+from rigctl.control.load.sinking import Sinking
+from rigctl.control.load.stroke_hold import StrokeHold
+from rigctl.control.load.take_up import TakeUp
+from rigctl.control.power.drive_status import DriveStatus
+from rigctl.control.power.machine import Machine
+from rigctl.control.power.power_off import PowerOffWatch
+from rigctl.control.power.power_seen import ON_COMMANDS, PowerDetector, Standstill
+from rigctl.control.power.stage import held_by
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stage import held_by
-from rigctl.control.stretch_lead import StretchLead
-from rigctl.control.stroke_hold import StrokeHold
-from rigctl.control.sync_timing import SyncTiming
-from rigctl.control.take_up import TakeUp
-from rigctl.control.tension import Estimate, TensionLaw
+from rigctl.control.watch.plausibility import Plausibility
+from rigctl.control.watch.signs import SignCheck
 from rigctl.devices.objects import (
     OFF_STATES,
     STATUS_FOLLOWS,

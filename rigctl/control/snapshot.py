@@ -20,7 +20,7 @@ from rigctl.control.findings import (
     StrokeHoldSeen,
     TakeUpSeen,
 )
-from rigctl.control.power_seen import PowerSeen
+from rigctl.control.power.power_seen import PowerSeen
 from rigctl.model.states import HeldBy, LoadAtRest
 
 ROUNDING = 1e-9  # share of a bound that rounding surely stays below
@@ -52,7 +52,7 @@ class Snapshot:
     drive_enabled: bool = False
     drive_off: bool = False  # no power, brake closed or closing
     power: PowerSeen = field(default_factory=PowerSeen)  # state, times and brake of the drive
-    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.power_seen
+    still_ns: int = 0  # time the stroke has stood still, see rigctl.control.power.power_seen
     sinking: SinkingSeen = field(default_factory=SinkingSeen)
     drive_faulted: bool = False
     drive_warning: bool = False
@@ -87,13 +87,13 @@ class Snapshot:
     stroke_limited: bool = False
     drive_wanted: bool = False
     held_by: HeldBy = HeldBy.UNKNOWN  # as the tick before has left it
-    power_off: int = 0  # the same; see rigctl.control.power_off
-    load_at_rest: LoadAtRest = LoadAtRest.UNKNOWN  # the same; see rigctl.control.load_at_rest
+    power_off: int = 0  # the same; see rigctl.control.power.power_off
+    load_at_rest: LoadAtRest = LoadAtRest.UNKNOWN  # the same; see rigctl.control.load.load_at_rest
     rope_lost: bool = False
     device_restarted: bool = False
     master_age_ns: int = 1 << 62  # since another controller was heard
     master_words: str = ""  # what that controller did
-    stroke_unconfirmed: bool = False  # see rigctl.control.homed
+    stroke_unconfirmed: bool = False  # see rigctl.control.load.homed
     stroke_jump_mm: float = 0.0  # kept until the stroke is confirmed
     readback: ReadbackSeen = field(default_factory=ReadbackSeen)
     sensor_emergency: int = 0  # node << 16 | code of an emergency that is still active

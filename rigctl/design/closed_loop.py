@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rigctl.control.estimator import Array, FilterModel
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import Array, FilterModel
+from rigctl.control.law.tension import Gains
 from rigctl.design.plant_family import ComplexArray, Member
 
 STATES = 3  # of the filter

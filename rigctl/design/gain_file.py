@@ -33,7 +33,7 @@ from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.config.settings_base import Settings, require
 from rigctl.config.wording import Wording
-from rigctl.control.gain_table import plain
+from rigctl.control.law.gain_table import plain
 from rigctl.design.gains import DesignError
 from rigctl.design.identified import Identified
 from rigctl.design.verdict import Design

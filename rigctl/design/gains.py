@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array, FilterModel, filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import Array, FilterModel, filter_model
+from rigctl.control.law.tension import Gains
 
 _METHOD = "scipy"  # of python-control: with slycot (GPL) installed, it would take that
 

@@ -17,8 +17,8 @@ from pydantic import ValidationError
 
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.gain_table import ScheduledGains, TableEntry
-from rigctl.control.tension import Gains
+from rigctl.control.law.gain_table import ScheduledGains, TableEntry
+from rigctl.control.law.tension import Gains
 from rigctl.design import identified, plant_family
 from rigctl.design.gain_file import (
     INPUTS,

@@ -24,7 +24,7 @@ import msgspec
 import rigctl
 from rigctl.config import input_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design import identified
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified

@@ -3,7 +3,7 @@
 From one move to the next the table's spectrum is multiplied by ``Q (1 - L P)`` and the rest stays the same, so tables
 and errors converge at every frequency where its modulus is below 1 (Bristow, Tharayil, Alleyne 2006, theorem 6: long
 moves, no aliasing). P is the response of the recorded error to the table in the closed loop, L and Q are those of
-`rigctl.control.move_learning`, with the table's interpolation and the error's averaging.
+`rigctl.control.law.move_learning`, with the table's interpolation and the error's averaging.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.move_learning import LearningFilter, learning_filter, step_ticks
-from rigctl.control.tension import Gains
+from rigctl.control.law.move_learning import LearningFilter, learning_filter, step_ticks
+from rigctl.control.law.tension import Gains
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.gains import DesignError
 from rigctl.design.plant_family import Array, ComplexArray, Member

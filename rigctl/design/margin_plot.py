@@ -13,7 +13,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array, filter_model
+from rigctl.control.law.estimator import Array, filter_model
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import controller
 from rigctl.design.design_text import GAINS

@@ -24,8 +24,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import FilterModel, filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import FilterModel, filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import Controller, closed_loop, controller
 from rigctl.design.gains import OPEN, QUIET, design, filter_gains

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.kalman import stationary_covariance
+from rigctl.control.law.kalman import stationary_covariance
 from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.plant_family import member
 

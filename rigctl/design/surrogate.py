@@ -20,8 +20,8 @@ from typing import Protocol
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array, TensionFilter, filter_model
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.law.estimator import Array, TensionFilter, filter_model
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 from rigctl.design.plant_family import KG_PER_N_S2_MM, MECHANISM_DAMPING, Member, sampled
 
 SETTLE_S = 0.15  # before a scenario, for the noise to go round the loop

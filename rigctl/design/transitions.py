@@ -23,8 +23,8 @@ from itertools import permutations
 import numpy as np
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design.closed_loop import Controller, closed_loop, controller, law_errors
 from rigctl.design.gains import OPEN, QUIET, filter_gains
 from rigctl.design.plant_family import Array, Family, Member

@@ -6,8 +6,8 @@ import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from rigctl.control.gain_table import ScheduledGains, plain
-from rigctl.control.tension import Gains
+from rigctl.control.law.gain_table import ScheduledGains, plain
+from rigctl.control.law.tension import Gains
 from rigctl.design.performance import Performance
 from rigctl.design.plant_family import ASSUMED
 
@@ -122,7 +122,7 @@ class Design:
         }
 
     def _schedule(self) -> dict[str, Any] | None:
-        """The table of the gains and its dwell time, see `rigctl.control.gain_table`; None without one."""
+        """The table of the gains and its dwell time, see `rigctl.control.law.gain_table`; None without one."""
         if not isinstance(self.gains, ScheduledGains):
             return None
         return {"table": [asdict(entry) for entry in self.gains.table], "dwell_s": self.gains.dwell_s}

@@ -54,7 +54,7 @@ def next_controlword(state: DriveState, power: Power) -> Controlword:
     """Command that takes the drive one step towards ``power``.
 
     A fault reset is a rising edge of bit 7. Each of its two words stays for longer than a drive takes to read its
-    controlword again, see `rigctl.control.stage.RESET_WORD_NS`.
+    controlword again, see `rigctl.control.power.stage.RESET_WORD_NS`.
     """
     if power is Power.RESET and state is DriveState.FAULT:
         return Controlword.FAULT_RESET

@@ -70,7 +70,7 @@ class PlainDevice:
 class StartupReport:
     """Result of start-up; ``supervision`` holds the drive's own stop settings as read back.
 
-    ``watched``: every object that was verified, the drive's first, for `rigctl.control.readback`. ``found``: what a
+    ``watched``: every object that was verified, the drive's first, for `rigctl.control.bus.readback`. ``found``: what a
     former controller had left in the drive.
     """
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.drive_power import CURRENT_SHARE
+from rigctl.control.power.drive_power import CURRENT_SHARE
 from rigctl.diagnosis.window import TripWindow
 from rigctl.model import emergency
 from rigctl.model.device_states import NmtState

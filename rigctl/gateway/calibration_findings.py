@@ -19,8 +19,8 @@ from rigctl.commission.cell_uncertainty import drift, scale_u, zero_u_n
 from rigctl.commission.creep import CreepError, CreepFit, course
 from rigctl.commission.identification import IdentificationError, pairs_of
 from rigctl.config.settings import CalibrationSettings, RigSettings
-from rigctl.control.tension import Gains
-from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S, LoadBin
+from rigctl.control.excitation.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S, LoadBin
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_TERMS, SCALE_BOUND, Correction, CreepTerm
 from rigctl.ipc.ledger import Entry, Standing, entry
 from rigctl.model.states import Mode
@@ -157,7 +157,7 @@ def scale_order(now: Standing) -> SettingOrder:
 
 
 def creep_order(now: Standing, held_s: float = math.nan) -> SettingOrder:
-    """Puts the creep in force in the loop; ``held_s``: see `rigctl.control.cell_correction.CellCorrection.put`."""
+    """Puts the creep in force in the loop; ``held_s``: see `rigctl.control.bus.cell_correction.CellCorrection.put`."""
     terms = now.creep or (CreepTerm(0.0, CREEP_FASTEST_S),) * CREEP_TERMS
     return SettingOrder(Setting.CREEP, (*(value for term in terms for value in term), held_s))
 

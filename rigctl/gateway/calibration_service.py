@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from rigctl.commission.load_record import bins_of
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.design.admission import NotAdmittedError, admit
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway import left_over

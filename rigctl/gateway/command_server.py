@@ -21,8 +21,8 @@ import msgspec
 
 from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
+from rigctl.control.excitation.trials import STEP_WAIT_S
 from rigctl.control.modes import FILED, command_slot
-from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.ended_processes import ProcessNote

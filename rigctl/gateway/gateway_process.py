@@ -21,8 +21,8 @@ from pydantic import ValidationError
 
 from rigctl.commission.preflight import Preflight, PreflightVerdict
 from rigctl.config.settings import RigSettings
-from rigctl.control import limits, safety
 from rigctl.control.realtime import die_with_parent
+from rigctl.control.watch import limits, safety
 from rigctl.diagnosis.live import LatchedCulprit
 from rigctl.gateway import accepted_sockets
 from rigctl.gateway.active import ActiveConfiguration, ReplacedFile

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, WINDOW_S
+from rigctl.control.excitation.margin_probe import GROW_S, WINDOW_S
 from rigctl.design.identified import WINDOW
 from rigctl.gateway.evaluation import EvaluationError, evaluate
 from rigctl.gateway.excited_records import ExcitedRecords

@@ -28,7 +28,7 @@ class Correction:
     """``tension = (reading - zero_n - zero_n_k (temperature - zero_c)) * scale - creep``.
 
     ``overdue``: no valid calibration and no waiver, which bars arming. ``zero_c``: the cell's temperature at the tare,
-    None where it is not known. For the creep see `rigctl.control.cell_correction`. ``second_zero_n`` and
+    None where it is not known. For the creep see `rigctl.control.bus.cell_correction`. ``second_zero_n`` and
     ``second_scale``: of the second force path, in N of its reading; None before a tare.
     """
 

@@ -1,6 +1,6 @@
 """HOLD from a program of this computer to the loop, past the network: the loop's sockets and the datagrams on them.
 
-The loop owns datagram sockets in its run-time folder (`rigctl.control.hold_sockets`), one for each user of the
+The loop owns datagram sockets in its run-time folder (`rigctl.control.bus.hold_sockets`), one for each user of the
 computer, because the kernel's queue of a socket is short and whoever floods it shuts out all its other senders. A
 request is one datagram with the operator's name; the kernel adds user and process. The answer goes to the abstract
 address that the sender has bound, and the kernel adds the loop's user to it.

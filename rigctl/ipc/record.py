@@ -177,7 +177,7 @@ SITUATION = Slot(
     "situation",
     (
         Field("t_ns", "q", "ns", "when, CLOCK_MONOTONIC"),
-        Field("mode", "B", "", "see rigctl.model.states.Mode; the fields below: see rigctl.control.situation"),
+        Field("mode", "B", "", "see rigctl.model.states.Mode; the fields below: see rigctl.control.commands.situation"),
         *(Field(name, code, "", "") for code, names in (
             ("Q", "failed_checks causes fault moves witness pending drive_state"),
             ("B", "stop_running armed e_stop brake_fails strays no_brake at_rest drive_faulted drive_unfit slack "

@@ -1,6 +1,6 @@
 """The checks an arm command must pass: bit, name, and the failure with its remedy in words.
 
-The conditions are in `rigctl.control.safety.preflight`.
+The conditions are in `rigctl.control.watch.safety.preflight`.
 """
 
 from __future__ import annotations
@@ -158,7 +158,7 @@ class Check(IntFlag):
         1 << 26,
         "a device sends no heartbeat or is not operational: check its power and cable",
     )
-    # The stroke has moved within the last STILL_NS, see rigctl.control.power_seen
+    # The stroke has moved within the last STILL_NS, see rigctl.control.power.power_seen
     NOT_AT_STANDSTILL = (
         1 << 29,
         (

@@ -1,6 +1,6 @@
 """The catalogue of faults: number, name, cause in words, remedy, part to look at, and what the fault bars.
 
-The rows of `rigctl.control.safety.table` give the value watched for each, with limit and persistence.
+The rows of `rigctl.control.watch.safety.table` give the value watched for each, with limit and persistence.
 """
 
 from __future__ import annotations

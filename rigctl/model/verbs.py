@@ -69,7 +69,7 @@ class VerbTrait(IntFlag):
     CARRIES = 2
     """It is for a load that the brake does not hold."""
     TRIAL = 4
-    """It measures first, and is answered at its end; see `rigctl.control.trials`."""
+    """It measures first, and is answered at its end; see `rigctl.control.excitation.trials`."""
     FILED = 8
     """Its result is put on record before it takes effect."""
     ENDS_OTHERS = 16
@@ -426,7 +426,7 @@ _SETTING_FIELDS: dict[int, tuple[RingField, ...]] = {
     Setting.OVERDUE: (RingField("overdue", "", "1 the calibration is overdue, 0 it is not"),),
     Setting.HOST_CHECKS: (RingField("host_checks", "", "those that fail, bits, see rigctl.model.checks.HOST_CHECKS"),),
     Setting.LAW_GAINS: (
-        RingField("k_tension", "mm/(s N)", "see rigctl.control.tension.Gains"),
+        RingField("k_tension", "mm/(s N)", "see rigctl.control.law.tension.Gains"),
         RingField("k_speed", "", ""),
         RingField("k_integral", "mm/(s^2 N)", ""),
     ),

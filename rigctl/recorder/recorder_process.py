@@ -20,7 +20,7 @@ import msgspec
 from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import last_stroke
+from rigctl.control.load import last_stroke
 from rigctl.control.realtime import die_with_parent
 from rigctl.ipc import heap, ledger, supervision
 from rigctl.ipc.joining import UsageError, joined

@@ -11,7 +11,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.hold_sockets import Hold
+from rigctl.control.bus.hold_sockets import Hold
 from rigctl.ipc.record import COMMAND, FrameFlag
 from rigctl.model.states import Flag
 

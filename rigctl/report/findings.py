@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pydantic import ValidationError
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.metrics import timing

@@ -10,8 +10,8 @@ import numpy.typing as npt
 from scipy import signal
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design.closed_loop import closed_loop, controller
 from rigctl.design.gains import DesignError, filter_gain
 from rigctl.design.performance import SHAKE_HZ

@@ -29,8 +29,9 @@ from rigctl.config import layout
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.config.telemetry_section import open_listen
-from rigctl.control import ending, last_stroke
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load import last_stroke
+from rigctl.control.power import ending
 from rigctl.devices import busload
 from rigctl.devices.objects import drive_state
 from rigctl.ipc import ledger, public_slot
@@ -591,8 +592,8 @@ class Supervisor:
     def _end_control(self, records: RingReader, events: RingReader) -> bool:
         """End the loop; returns whether it has ended in order.
 
-        It may have the motor lower a load first (`rigctl.control.ending`). As long as its records show that, everything
-        else goes on; a further signal goes to the loop, which then leaves the load.
+        It may have the motor lower a load first (`rigctl.control.power.ending`). As long as its records show that,
+        everything else goes on; a further signal goes to the loop, which then leaves the load.
         """
         process, signals, self._ending = self._children["control"].process, self._signals, True
         process.send_signal(signal.SIGTERM)

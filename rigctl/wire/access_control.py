@@ -4,7 +4,7 @@ The gateway's router looks at every message from a link (ingress) and to it (egr
 certificate's common name, and gives a queryable no name of who asks.
 
 - The Unix socket in the run-time folder, and ``tcp``: reads. Commands of this computer have a socket of their own, and
-  so has HOLD (`rigctl.gateway.command_socket`, `rigctl.control.hold_sockets`).
+  so has HOLD (`rigctl.gateway.command_socket`, `rigctl.control.bus.hold_sockets`).
 - ``tls``: the commands of a person have keys with the person's name, and the rules let only that person's certificates
   use them.
 

@@ -11,8 +11,8 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+from rigctl.control.commands.situation import Situation, of_slot
 from rigctl.control.modes import answer, barring
-from rigctl.control.situation import Situation, of_slot
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.quantity import significant

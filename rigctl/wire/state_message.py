@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from rigctl.control.drive_power import drive_shown
-from rigctl.control.safety import Row
+from rigctl.control.power.drive_power import drive_shown
+from rigctl.control.watch.safety import Row
 from rigctl.diagnosis.diagnose import Culprit
 from rigctl.ipc.ring import RingReader
 from rigctl.metrics.tension_error import error_pct, percentiles_us

@@ -19,7 +19,7 @@ from rigctl.commission.identification import IdentificationError
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, WINDOW_S
+from rigctl.control.excitation.margin_probe import GROW_S, WINDOW_S
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, margins
 from rigctl.model.states import Mode

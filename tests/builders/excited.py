@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

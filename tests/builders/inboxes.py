@@ -7,9 +7,9 @@ from typing import cast
 import can
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.readback import FOREIGN_AFTER_NS, Readback
 from rigctl.control.logbook import Rings
-from rigctl.control.readback import FOREIGN_AFTER_NS, Readback
 
 
 def alone(settings: RigSettings, bus: can.BusABC | None = None) -> Inbox:

@@ -6,18 +6,18 @@ from types import SimpleNamespace
 from typing import cast
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.held_tension import HeldTension
-from rigctl.control.homed import Homed, LastStroke
-from rigctl.control.inbox import Inbox
-from rigctl.control.loop_probe import NoProbe
-from rigctl.control.machine import Machine
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.outbox import Outbox
+from rigctl.control.bus.readback import Readback
+from rigctl.control.excitation.loop_probe import NoProbe
+from rigctl.control.law.tension import Gains, TensionLaw
+from rigctl.control.load.held_tension import HeldTension
+from rigctl.control.load.homed import Homed, LastStroke
+from rigctl.control.load.rope_memory import RopeMemory
+from rigctl.control.load.stroke_hold import StrokeHold
 from rigctl.control.observer import Observer
-from rigctl.control.outbox import Outbox
-from rigctl.control.readback import Readback
-from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.signs import SignCheck
-from rigctl.control.stroke_hold import StrokeHold
-from rigctl.control.tension import Gains, TensionLaw
+from rigctl.control.power.machine import Machine
+from rigctl.control.watch.signs import SignCheck
 from tests.builders import inboxes
 
 

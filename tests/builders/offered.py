@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from rigctl.control.situation import Situation, slot_values
+from rigctl.control.commands.situation import Situation, slot_values
 from rigctl.ipc.record import SITUATION
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault, bits_of

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from rigctl.control.arming import ArmingStep
-from rigctl.control.machine import Answer, Change, Machine
-from rigctl.control.safety import Trip, Watch
+from rigctl.control.power.arming import ArmingStep
+from rigctl.control.power.machine import Answer, Change, Machine
+from rigctl.control.power.stage import NOT_LEFT, TickSeen
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stage import NOT_LEFT, TickSeen
+from rigctl.control.watch.safety import Trip, Watch
 from rigctl.model.states import Mode
 
 

@@ -24,7 +24,7 @@ from rigctl.commission import proposal
 from rigctl.commission.identification import IdentificationError
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.daemons import PAPER

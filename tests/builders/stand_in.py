@@ -14,9 +14,9 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from rigctl.control.hold_sockets import HoldSockets
+from rigctl.control.bus.hold_sockets import HoldSockets
+from rigctl.control.commands.situation import Situation, slot_values
 from rigctl.control.modes import TRANSITIONS, Decision, decide, next_mode
-from rigctl.control.situation import Situation, slot_values
 from rigctl.ipc.hold_socket import HoldAnswer
 from rigctl.ipc.record import RECORD, REPLY
 from rigctl.ipc.runtime_folder import Runtime

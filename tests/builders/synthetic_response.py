@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.commission.frequency_response import Spectra, spectra
-from rigctl.control.multisine import Band, Multisine, multisine
+from rigctl.control.excitation.multisine import Band, Multisine, multisine
 from rigctl.ipc.record import RECORD
 from tests.builders.linear_plant import Array, ComplexArray, TruePlant
 

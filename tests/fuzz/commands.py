@@ -11,8 +11,8 @@ import numpy as np
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
+from rigctl.control.law.tension import Gains
 from rigctl.control.modes import command_slot
-from rigctl.control.tension import Gains
 from rigctl.gateway import command_server
 from rigctl.ipc.ring import RingReader
 from rigctl.model.faults import Fault

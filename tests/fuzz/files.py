@@ -33,7 +33,7 @@ from rigctl.config import rig_file as config
 from rigctl.config import strict_yaml
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design import gain_file
 from rigctl.design.gains import DesignError
 from rigctl.design.margins import design_and_check

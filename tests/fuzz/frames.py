@@ -16,10 +16,10 @@ import can
 from hil.loop_view import LoopView
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
+from rigctl.control.law.tension import Gains
 from rigctl.control.logbook import Rings
 from rigctl.control.loop import Loop
 from rigctl.control.modes import command_slot
-from rigctl.control.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.devices.objects import Controlword
 from rigctl.ipc.runtime_folder import Runtime

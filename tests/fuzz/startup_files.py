@@ -26,9 +26,9 @@ from rigctl.commission import preflight
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
-from rigctl.control import last_stroke
-from rigctl.control.brake_flag import KeptBrake
-from rigctl.control.homed import LastStroke
+from rigctl.control.load import last_stroke
+from rigctl.control.load.brake_flag import KeptBrake
+from rigctl.control.load.homed import LastStroke
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
 from rigctl.design.in_use import design_in_use

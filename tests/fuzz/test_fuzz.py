@@ -14,7 +14,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.devices import objects as od
 from rigctl.devices.remote_node import StartupError

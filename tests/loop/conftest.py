@@ -11,7 +11,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

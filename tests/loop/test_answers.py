@@ -13,8 +13,8 @@ import pytest
 from hil.lockstep import lockstep
 from hil.scenario.play import bring_to_target
 from rigctl.config.settings import RigSettings
-from rigctl.control.hold_sockets import Hold
-from rigctl.control.tension import Gains
+from rigctl.control.bus.hold_sockets import Hold
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.record import HOLD_ID
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb

@@ -10,8 +10,8 @@ from hil.faults.in_controller import trip
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
-from rigctl.control import arming, power_seen
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power import arming, power_seen
 from rigctl.devices.objects import OFF_STATES, Controlword
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind, worded

@@ -13,8 +13,8 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.cli import status
 from rigctl.config.settings import RigSettings
-from rigctl.control.stage import KEPT_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.stage import KEPT_NS
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -13,8 +13,8 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import BRAKE_TEST_MM, LONG_TEST_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.arming import BRAKE_TEST_MM, LONG_TEST_NS
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -7,7 +7,7 @@ import pytest
 from hil.faults.in_device import CELL, reads
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
-from rigctl.control.cell_step import STAYS
+from rigctl.control.bus.cell_step import STAYS
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 

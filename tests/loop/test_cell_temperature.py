@@ -10,7 +10,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import Measured

@@ -11,7 +11,7 @@ from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
 from hil.studies.compare import cell
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from tests.builders.paths import ROOT
 
 

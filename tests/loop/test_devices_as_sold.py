@@ -10,7 +10,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.demo.summary import Summary
 from rigctl.devices import objects as od

@@ -9,12 +9,12 @@ import msgspec
 import pytest
 
 from hil.faults.catalogue import BY_ID
+from hil.faults.judging.naming import Naming, RecordedRow, culprit, named, recorded
 from hil.faults.lockstep_run import Bench
-from hil.faults.naming import Naming, RecordedRow, culprit, named, recorded
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.diagnosis.live import LatchedCulprit
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.parts import Part

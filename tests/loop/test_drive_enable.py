@@ -12,7 +12,7 @@ from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import objects, startup
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault

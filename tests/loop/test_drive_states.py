@@ -21,8 +21,8 @@ from rigctl.config.io_section import IoSettings
 from rigctl.config.rail_sections import RailEncoderSettings
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.machine import SUPERVISED_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.machine import SUPERVISED_NS
 from rigctl.devices import objects as od
 from rigctl.devices.objects import drive_state
 from rigctl.devices.remote_node import StartupError

@@ -12,8 +12,8 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.safety import STATUS_PERIODS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.watch.safety import STATUS_PERIODS
 from rigctl.devices import objects
 from rigctl.devices.objects import drive_state
 from rigctl.model.checks import HOST_CHECKS, Check

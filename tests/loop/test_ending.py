@@ -14,8 +14,8 @@ from hil.faults.in_device import CELL, brake_slips, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.ending import TOGETHER_NS, WAITS_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.ending import TOGETHER_NS, WAITS_NS
 from rigctl.model.events import Kind
 from rigctl.model.states import EndStep, Event, Flag, Mode, Witness
 from rigctl.model.verbs import Refusal, Verb

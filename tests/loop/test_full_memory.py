@@ -10,7 +10,7 @@ import pytest
 
 from hil.lockstep import lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from tests.builders.paths import ROOT
 from tests.builders.small_memory import with_small_memory
 from tests.builders.waiting import patience_s

@@ -15,7 +15,7 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, LoadAtRest, Mode

@@ -11,8 +11,8 @@ from hil.faults.in_device import STROKE
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.homed import LastStroke
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.homed import LastStroke
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault

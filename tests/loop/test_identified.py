@@ -15,7 +15,7 @@ from hil.lockstep import Lockstep, lockstep
 from hil.studies.compare.measured_ms import measured
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
-from rigctl.control.gain_table import ScheduledGains
+from rigctl.control.law.gain_table import ScheduledGains
 from rigctl.design.in_use import adopted, design_in_use
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry

@@ -13,7 +13,7 @@ from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import objects, startup
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind

@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterable, Iterator
 import pytest
 
 from hil.faults import on_bus
-from hil.faults.arming_phases import PHASES, arm_until
+from hil.faults.rows.arming_phases import PHASES, arm_until
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
-from rigctl.control.escalation import ANSWER_NS, BLIND_MM
-from rigctl.control.outbox import CUTS, NMT_STOPS
-from rigctl.control.tension import Gains
+from rigctl.control.bus.outbox import CUTS, NMT_STOPS
+from rigctl.control.law.tension import Gains
+from rigctl.control.watch.escalation import ANSWER_NS, BLIND_MM
 from rigctl.devices import objects as od
 from rigctl.model.device_states import NmtState
 from rigctl.model.events import worded

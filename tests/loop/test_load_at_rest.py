@@ -11,8 +11,8 @@ from hil.faults.in_device import SPEED, STROKE, both, brake_slips, reads, stuck
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.load_at_rest import REST_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.load_at_rest import REST_NS
 from rigctl.model.events import Kind
 from rigctl.model.states import HeldBy, LoadAtRest, Mode
 from tests.builders.branches import Started

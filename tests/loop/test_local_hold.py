@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.hold_sockets import Hold
+from rigctl.control.bus.hold_sockets import Hold
+from rigctl.control.law.tension import Gains
 from rigctl.control.modes import command_slot
-from rigctl.control.tension import Gains
 from rigctl.ipc.record import HOLD_ID
 from rigctl.model.events import Kind, worded
 from rigctl.model.states import Mode

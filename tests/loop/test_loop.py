@@ -11,7 +11,7 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import objects as od
 from rigctl.metrics import tension_error as metrics
 from rigctl.model.checks import Check

@@ -12,8 +12,8 @@ from hil.lockstep import Lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control import limits
-from rigctl.control.margin_probe import GROW_S, SETTLED_S, WINDOW_S, level, signal
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S, WINDOW_S, level, signal
+from rigctl.control.watch import limits
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, margins
 from rigctl.model.events import Kind, worded

@@ -14,7 +14,7 @@ from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
 from hil.studies.moves.repeated_moves import LEARNING
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

@@ -10,11 +10,11 @@ from hil.faults.in_plant import payload_moves
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.probe_plan import plan
-from rigctl.control.sensor_probe import ProbeFinding
-from rigctl.control.tension import Gains
-from rigctl.control.unseen_travel import MOST_SHARE
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S
+from rigctl.control.excitation.probe_plan import plan
+from rigctl.control.excitation.sensor_probe import ProbeFinding
+from rigctl.control.law.tension import Gains
+from rigctl.control.watch.unseen_travel import MOST_SHARE
 from rigctl.design.gains import design
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -15,11 +15,11 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.cylinder_drive import ServiceTool
 from rigctl.config.settings import RigSettings
-from rigctl.control import command_checks
-from rigctl.control.load_at_rest import REST_NS
-from rigctl.control.stage import ARM_LIMIT_NS
-from rigctl.control.tension import Gains
-from rigctl.control.trials import Average
+from rigctl.control.commands import command_checks
+from rigctl.control.excitation.trials import Average
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.load_at_rest import REST_NS
+from rigctl.control.power.stage import ARM_LIMIT_NS
 from rigctl.devices import objects
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind

@@ -16,7 +16,7 @@ from hil.studies.roll_back.study import SET
 from rigctl.config import rig_file, strict_yaml
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -10,7 +10,7 @@ from hil.faults.in_plant import rope_breaks
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import PAYS_OUT_MM_S, Gains
+from rigctl.control.law.tension import PAYS_OUT_MM_S, Gains
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode

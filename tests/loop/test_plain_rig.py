@@ -9,7 +9,7 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.plain_sensors import PlainSensor
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices.startup import Device, PlainDevice
 from rigctl.metrics import tension_error as metrics
 from rigctl.model.faults import Fault

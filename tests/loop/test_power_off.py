@@ -16,9 +16,9 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.io_section import IoSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.drive_status import CURRENT_NS
-from rigctl.control.power_off import WAIT_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.drive_status import CURRENT_NS
+from rigctl.control.power.power_off import WAIT_NS
 from rigctl.devices.objects import OFF_STATES, Controlword, drive_state
 from rigctl.model.device_states import DriveState
 from rigctl.model.events import Kind

@@ -12,10 +12,10 @@ from hil.lockstep import Lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control import loop
-from rigctl.control.loop_probe import NoProbe
-from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.probe_plan import JUDGEMENTS_PER_PERIOD, OVERLAP, plan
-from rigctl.control.sensor_probe import SensorProbe
+from rigctl.control.excitation.loop_probe import NoProbe
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S
+from rigctl.control.excitation.probe_plan import JUDGEMENTS_PER_PERIOD, OVERLAP, plan
+from rigctl.control.excitation.sensor_probe import SensorProbe
 from rigctl.design.gains import design
 from rigctl.model.states import Mode
 from tests.builders.excited import tensioned

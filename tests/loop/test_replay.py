@@ -18,8 +18,8 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl import __version__
 from rigctl.config.settings import RigSettings
-from rigctl.control.ending import WAITS_NS
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.power.ending import WAITS_NS
 from rigctl.ipc.correction import Correction
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.runtime_folder import ACTIVE

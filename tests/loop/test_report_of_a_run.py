@@ -10,7 +10,7 @@ import pytest
 
 from hil.lockstep import lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

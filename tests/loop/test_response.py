@@ -14,8 +14,8 @@ from rigctl.commission import response_entry
 from rigctl.commission.identification import IdentificationError
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.frequency_trial import HELD, REGULATED, STRAY_N
-from rigctl.control.tension import Gains
+from rigctl.control.excitation.frequency_trial import HELD, REGULATED, STRAY_N
+from rigctl.control.law.tension import Gains
 from rigctl.design.gains import design
 from rigctl.gateway.evaluation import law_response, response
 from rigctl.model.states import Flag, Mode

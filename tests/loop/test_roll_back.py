@@ -7,7 +7,7 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from hil.studies.roll_back.study import LIMIT_MM, RollBackCase, cases, settings_of, taken_over
 from rigctl.config.changed_settings import changed
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import objects
 from rigctl.devices.startup import StartupError
 from rigctl.model.states import HeldBy, Mode

@@ -14,7 +14,7 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, Measured
 from rigctl.ipc.ledger import Standing

@@ -9,8 +9,8 @@ from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.probe_plan import ProbePlan, plan
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S
+from rigctl.control.excitation.probe_plan import ProbePlan, plan
 from rigctl.design.gains import design
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode

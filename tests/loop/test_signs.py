@@ -12,8 +12,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.signs import SLOPE_N
-from rigctl.control.tension import RAMP_EASE_S, Gains
+from rigctl.control.law.tension import RAMP_EASE_S, Gains
+from rigctl.control.watch.signs import SLOPE_N
 from rigctl.design.margins import design_and_check
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 from rigctl.model.events import Kind, worded

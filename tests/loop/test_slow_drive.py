@@ -7,7 +7,7 @@ import itertools
 import pytest
 
 from hil.lockstep import Lockstep
-from rigctl.control.stage import DRIVE_RESET_NS
+from rigctl.control.power.stage import DRIVE_RESET_NS
 from rigctl.model.device_states import DriveState
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault

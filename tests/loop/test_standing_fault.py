@@ -10,12 +10,12 @@ import pytest
 
 from hil.faults.catalogue import BY_ID, CATALOGUE
 from hil.faults.expected import InjectedFault
+from hil.faults.judging.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.faults.stand import Needs
-from hil.faults.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode

@@ -6,7 +6,7 @@ import pytest
 
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
-from rigctl.control.safety import STATUS_PERIODS
+from rigctl.control.watch.safety import STATUS_PERIODS
 from rigctl.devices import objects
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind

@@ -14,8 +14,8 @@ from hil.faults.in_device import SPEED, STROKE, both, creeps, reads
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, SHOWN_MM
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.stroke_hold import AUTHORITY_MM_S, SHOWN_MM
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

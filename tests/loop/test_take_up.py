@@ -10,8 +10,8 @@ from hil.lockstep import Lockstep, lockstep
 from hil.scenario.layered_rig import with_set
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.take_up import limit_n
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.take_up import limit_n
 from rigctl.design.margins import design_and_check
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode

@@ -9,8 +9,8 @@ import pytest
 
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.settings import RigSettings
+from rigctl.control.law.tension import Gains
 from rigctl.control.modes import command_slot
-from rigctl.control.tension import Gains
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.correction import Correction
 from rigctl.model.checks import Check

@@ -23,7 +23,7 @@ from hil.wire import FRAME
 from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.checks import Check

@@ -14,7 +14,7 @@ from hil.scenario.play import play
 from hil.wire import FRAME
 from rigctl.config.rail_sections import RunOutSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices import busload, objects, startup
 from rigctl.model.faults import Fault
 from rigctl.model.samples import Quality

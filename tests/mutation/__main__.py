@@ -25,9 +25,9 @@ PAGE = ROOT / "docs/mutation.md"
 VERDICTS = ROOT / "results/mutation/sample.json"
 TESTS = {
     "rigctl/control/modes.py": ("test_modes", "test_numbers_on_record", "test_diagram"),
-    "rigctl/control/stage.py": ("test_stage", "test_modes", "test_stateful"),
-    "rigctl/control/safety.py": ("test_safety_table", "test_safety", "test_limits", "test_numbers_on_record"),
-    "rigctl/control/tension.py": ("test_law", "test_tension"),
+    "rigctl/control/power/stage.py": ("test_stage", "test_modes", "test_stateful"),
+    "rigctl/control/watch/safety.py": ("test_safety_table", "test_safety", "test_limits", "test_numbers_on_record"),
+    "rigctl/control/law/tension.py": ("test_law", "test_tension"),
 }
 MAPS = {"unit": ("tests/unit",), "loop": ("tests/loop",)}
 """Tests whose lines are found out at the same time."""

@@ -15,8 +15,8 @@ from hil.cli import faults_ways_out
 from hil.faults.catalogue import ROWS
 from hil.runs import rows_file
 from hil.ways_out import step_follower
+from rigctl.control.commands.situation import Situation
 from rigctl.control.logbook import Logbook
-from rigctl.control.situation import Situation
 from rigctl.model.parts import Part
 from rigctl.model.states import Mode
 from rigctl.wire import operator_view

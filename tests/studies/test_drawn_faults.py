@@ -13,7 +13,7 @@ from hil.faults.drawn import draw_file, oracle, played_draws
 from hil.faults.drawn.draw import Draw, DrawnRig, PartFault, block_of, pair_of
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file
-from rigctl.control.load_at_rest import LoadRest
+from rigctl.control.load.load_at_rest import LoadRest
 from rigctl.model.states import LoadAtRest
 from tests.builders.paths import ROOT
 

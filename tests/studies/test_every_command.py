@@ -21,7 +21,7 @@ from hil.faults import gateway_kills, kills, lockstep_rows
 from hil.faults.drawn import draw_file
 from hil.faults.drawn.draw import block_of, pair_of
 from hil.faults.gateway_kills import Figures
-from hil.faults.judge import FaultResult
+from hil.faults.judging.judge import FaultResult
 from hil.faults.kills import Kill
 from hil.studies.compare import equal_limits, front, random_rigs
 from hil.studies.compare.equal_limits import EqualLimits, RunErrors

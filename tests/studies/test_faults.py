@@ -15,16 +15,18 @@ from hil.faults import processes
 from hil.faults.catalogue import BY_ID, CATALOGUE, PARKED, ROWS
 from hil.faults.digests.played_rows import GATE
 from hil.faults.expected import ARMED, InjectedFault, Reaction
-from hil.faults.judge import FaultResult
+from hil.faults.judging.judge import FaultResult
 from hil.faults.lockstep_run import Bench, by_start
-from hil.faults.rows_alone import ALONE
-from hil.faults.rows_brake import BRAKE
-from hil.faults.rows_creep import CREEP
+from hil.faults.rows.rows_alone import ALONE
+from hil.faults.rows.rows_brake import BRAKE
+from hil.faults.rows.rows_creep import CREEP
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.control import modes, observer, safety, stage
-from rigctl.control.escalation import Escalator
-from rigctl.control.power_seen import PowerDetector
+from rigctl.control import modes, observer
+from rigctl.control.power import stage
+from rigctl.control.power.power_seen import PowerDetector
+from rigctl.control.watch import safety
+from rigctl.control.watch.escalation import Escalator
 from rigctl.design.margins import design_and_check
 from rigctl.model.faults import Fault
 from rigctl.model.states import Event, Mode

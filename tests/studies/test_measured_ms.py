@@ -16,7 +16,7 @@ from hil.studies.compare.rivals import OURS
 from hil.studies.compare.tuned_laws import TunedLaw, knobs_of
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.design.knobs import value_of
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.plant_family import Family

@@ -8,8 +8,8 @@ import pytest
 
 from hil.studies.roll_back.takeover import AGAIN_S, DRAWS, LIMIT_MM, TakenOver, Takeover, draw, taken_over
 from rigctl.config import rig_file as config
-from rigctl.control import command_checks
-from rigctl.control.tension import Gains
+from rigctl.control.commands import command_checks
+from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from tests.builders.paths import ROOT
 

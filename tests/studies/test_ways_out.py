@@ -21,10 +21,10 @@ from hil.studies.roll_back.study import RollBackCase, settings_of
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.brake_flag import TESTED_SHARE, KeptBrake
-from rigctl.control.carried_load import LOWERS_MM_S
+from rigctl.control.law.tension import Gains
+from rigctl.control.load.brake_flag import TESTED_SHARE, KeptBrake
+from rigctl.control.load.carried_load import LOWERS_MM_S
 from rigctl.control.modes import SUNK_MM
-from rigctl.control.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault

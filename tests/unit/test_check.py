@@ -14,7 +14,7 @@ from tests.builders.paths import ROOT
     ("file", "first", "also"),
     [
         ("rigctl/metrics/windows.py", "tests/unit/metrics", None),
-        ("rigctl/control/safety.py", "tests/unit/control/test_safety.py", "tests/loop"),
+        ("rigctl/control/watch/safety.py", "tests/unit/control/test_safety.py", "tests/loop"),
         ("rigctl/page/static/page.css", "tests/unit/page", None),
         ("hil/plant/rope.py", "tests/unit/hil", "tests/plant"),
         ("config/rig.yaml", "tests/unit/config", None),

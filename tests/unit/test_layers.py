@@ -93,6 +93,19 @@ def test_no_module_stands_loose_at_the_root() -> None:
     assert {file.name for file in (ROOT / "rigctl").glob("*.py")} == {"__init__.py", "__main__.py"}
 
 
+MOST = 25
+"""Modules of a folder that fit on a screen."""
+
+
+def test_a_folder_fits_on_a_screen_and_its_face_imports_nothing() -> None:
+    crowded = ("rigctl/control", "hil/faults")
+    for folder in {file.parent for package in crowded for file in (ROOT / package).rglob("*.py")}:
+        assert len(list(folder.glob("*.py"))) <= MOST, folder
+        face = ast.parse((folder / "__init__.py").read_text())
+        assert ast.get_docstring(face), folder
+        assert not imported(folder / "__init__.py"), folder
+
+
 def test_modules_of_a_folder_import_each_other_in_one_direction() -> None:
     """No circle between modules."""
     below = {file: imported(file) for file in modules()}

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from hil.faults import in_device, in_plant, on_bus
-from hil.faults.at_several import in_turn
 from hil.faults.catalogue import ROWS
 from hil.faults.drawn.courses import Course, CourseStep, Operator
 from hil.faults.expected import Around, InjectedFault, Reaction
-from hil.faults.rows_io import FITTED
-from hil.faults.rows_parked import AT_ONCE
+from hil.faults.rows.at_several import in_turn
+from hil.faults.rows.rows_io import FITTED
+from hil.faults.rows.rows_parked import AT_ONCE
 from hil.faults.stand import FaultPlace, Injector, Stand, Step
 from hil.plant.inputs import Track
 from hil.plant.layout import MECHANISM

@@ -15,7 +15,7 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.play import design
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 
 BLOCK = 8
 """Draws on one rig in one course, so that they share the run without a fault."""

@@ -10,11 +10,11 @@ import numpy as np
 from hil.faults.drawn import courses, kinds
 from hil.faults.drawn.draw import BLOCK, Draw, block_of, pair_of
 from hil.faults.drawn.play import Branch, CourseRun, branches
-from hil.faults.naming import NamedRow, RecordedRow, culprit, naming
+from hil.faults.judging.naming import NamedRow, RecordedRow, culprit, naming
 from hil.lockstep import lockstep
 from hil.scenario.play import Advance
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.diagnosis.window import AFTER_NS, BEFORE_NS, trips
 from rigctl.ipc.record import EVENT
 from rigctl.model.loop_event import LoopEvent

@@ -13,7 +13,7 @@ from hil.faults.drawn import frames, stretches
 from hil.faults.drawn.draw import Draw
 from hil.faults.drawn.play import Branch
 from hil.faults.drawn.stretches import STOP_S, Deviation, Flags
-from hil.faults.judge import DEAD_REST_MM, DEATH, LAST_S, MOVES_MM_S
+from hil.faults.judging.judge import DEAD_REST_MM, DEATH, LAST_S, MOVES_MM_S
 from hil.faults.lockstep_run import KILLED_S
 from rigctl.config.settings import RigSettings
 from rigctl.model.states import Mode

@@ -15,13 +15,13 @@ from hil.faults.drawn import courses, kinds
 from hil.faults.drawn.courses import Course, Operator
 from hil.faults.drawn.draw import Draw, PartFault
 from hil.faults.drawn.watch import FrameWatch
+from hil.faults.judging.statements import false_statements
 from hil.faults.lockstep_run import RecordedTruth, kill
 from hil.faults.stand import Stand, Step
-from hil.faults.statements import false_statements
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.devices.remote_node import SilentError
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault

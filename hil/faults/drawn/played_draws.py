@@ -15,7 +15,7 @@ from hil.runs.rows_file import RowsFile
 from hil.runs.runner import Work
 from hil.scenario.play import Advance, design
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 
 LONGER_S = 60.0
 """A draw whose load still moves at its end, within the bounds, goes on for so long: a reaction may be yet to come."""

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hil.faults.judge import away_n
+from hil.faults.judging.judge import away_n
 from rigctl.model.states import Mode
 
 STOP_S = 0.15

@@ -15,9 +15,9 @@ from hil.nodes.tension_measurement import TensionMeasurement
 from hil.plant import Plant
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.cell_correction import CellCorrection
+from rigctl.control.bus.cell_correction import CellCorrection
+from rigctl.control.excitation.trials import Average, LoadBin, LoadStep, Trial
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.trials import Average, LoadBin, LoadStep, Trial
 from rigctl.model.verbs import Refusal
 
 S = 1_000_000_000

@@ -24,8 +24,8 @@ from hil.studies.compare.rivals.feedback import Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
 from hil.studies.compare.tuned_laws import TunedLaw, knobs_of, tuned
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
-from rigctl.control.tension import Gains, TensionLaw
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.design import identified
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified

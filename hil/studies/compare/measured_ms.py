@@ -29,9 +29,9 @@ from hil.scenario.play import bring_to_target
 from rigctl.commission.identification import student_t
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.control.loop import LawFactory
-from rigctl.control.tension import Gains, TensionLaw
 from rigctl.devices import objects
 from rigctl.model.states import Mode
 

@@ -19,7 +19,7 @@ from hil.studies.compare.rivals import OURS
 from hil.studies.compare.rivals.feedback import Feedback, Model, Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Estimate, Gains
+from rigctl.control.law.tension import Estimate, Gains
 from rigctl.design import optimise
 from rigctl.design.knobs import Knob, knobs_for, turned, value_of
 from rigctl.design.margins import frequency_grid

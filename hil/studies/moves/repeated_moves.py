@@ -19,9 +19,9 @@ from hil.scenario.play import Advance, play
 from hil.studies.moves.reversal_laws import Dithered, Predicting
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import LearningSettings, RigSettings
-from rigctl.control.inbox import Inbox
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.control.loop import LawFactory
-from rigctl.control.tension import Gains, TensionLaw
 from rigctl.metrics.tension_error import error_pct
 
 Floats = npt.NDArray[np.float64]

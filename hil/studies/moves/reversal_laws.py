@@ -6,9 +6,9 @@ import math
 from typing import Literal
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
-from rigctl.control.inclination import InclinationFilter
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.inclination import InclinationFilter
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 
 ACCELERATION_S = 0.1
 """Low-pass of the angular acceleration: the difference of a filtered rate is mostly noise."""

@@ -12,7 +12,7 @@ from hil.runs.runner import Work, play
 from rigctl.config import rig_file, strict_yaml
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.device_states import DriveState
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb

@@ -13,7 +13,7 @@ from hil.lockstep import Lockstep, lockstep
 from hil.runs.runner import Work, play
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 

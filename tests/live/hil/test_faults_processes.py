@@ -10,8 +10,8 @@ import pytest
 from hil.faults import gateway_kills as gateway
 from hil.faults import kills, processes
 from hil.faults.expected import Reaction
-from hil.faults.live_rows_rig import live
 from hil.faults.processes import Seen, judged
+from hil.faults.rows.live_rows_rig import live
 from hil.truth import TRUTH_DTYPE
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed

@@ -17,7 +17,7 @@ import pytest
 
 from rigctl.client.connection import Client
 from rigctl.config import rig_file as config
-from rigctl.control.frequency_trial import LONGEST_S
+from rigctl.control.excitation.frequency_trial import LONGEST_S
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime

@@ -13,7 +13,7 @@ import pytest
 
 from rigctl.cli import status
 from rigctl.client.connection import Client
-from rigctl.control.ending import TOGETHER_NS
+from rigctl.control.power.ending import TOGETHER_NS
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.states import Flag, HeldBy
 from rigctl.wire.alarms import Alarms

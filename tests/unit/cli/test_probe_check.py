@@ -14,7 +14,7 @@ from rigctl.cli import check, run
 from rigctl.cli.probe_check import ProbeCheck, refusal
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.probe_plan import plan
+from rigctl.control.excitation.probe_plan import plan
 from rigctl.design.gains import design
 from tests.builders.paths import ROOT
 

@@ -14,7 +14,7 @@ import pytest
 
 from rigctl.cli.install_files import STOP_SPARE_S, Host, of_rig, rig_drop_in
 from rigctl.config import rig_file
-from rigctl.control.ending import LIMIT_S, limit_s
+from rigctl.control.power.ending import LIMIT_S, limit_s
 from tests.builders.paths import ROOT
 
 Command = Callable[..., "subprocess.CompletedProcess[str]"]

@@ -17,7 +17,7 @@ import pytest
 from rigctl.client import local_hold
 from rigctl.client.local_daemons import local_daemons, same_endpoint
 from rigctl.config import layout
-from rigctl.control.hold_sockets import Hold, HoldSockets
+from rigctl.control.bus.hold_sockets import Hold, HoldSockets
 from rigctl.ipc import runtime_folder as folders
 from rigctl.ipc.folder_places import PUBLIC
 from rigctl.ipc.hold_socket import HoldAnswer

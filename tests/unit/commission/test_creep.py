@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rigctl.commission import creep
-from rigctl.control.trials import CREEP_BINS, CREEP_SETTLE_S, LoadBin
+from rigctl.control.excitation.trials import CREEP_BINS, CREEP_SETTLE_S, LoadBin
 from rigctl.ipc.correction import CreepTerm
 
 CREEP = (CreepTerm(8e-5, 40.0), CreepTerm(1.6e-4, 600.0))

@@ -14,7 +14,7 @@ from rigctl.commission import identification as ident
 from rigctl.commission import motion
 from rigctl.commission.identification import Drive, IdentificationError, Rope, TrialSignals
 from rigctl.commission.proposal import LAG_SHARE, rounded, signals_of
-from rigctl.control.trials import DITHER
+from rigctl.control.excitation.trials import DITHER
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
 from rigctl.ipc.record import RECORD
 

@@ -11,8 +11,8 @@ from rigctl.commission import response_entry
 from rigctl.commission.frequency_response import spectra
 from rigctl.commission.measured_margins import Controller, MeasuredMargins, measure
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.multisine import Band, multisine
+from rigctl.control.excitation.multisine import Band, multisine
+from rigctl.control.law.estimator import filter_model
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import design, filter_gain
 from tests.builders.linear_plant import Array, ComplexArray, TruePlant, true_sensitivities

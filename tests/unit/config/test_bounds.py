@@ -168,7 +168,8 @@ def test_check_says_how_far_a_stop_goes_and_what_it_makes() -> None:
 
 
 def test_figures_taken_from_the_loop_are_the_loops() -> None:
-    from rigctl.control import cell_step, channels, safety
+    from rigctl.control.bus import cell_step, channels
+    from rigctl.control.watch import safety
 
     assert config_bounds.PAYLOAD_MM_S == cell_step.PAYLOAD_MM_S
     assert config_bounds.NOISY == safety.UNREST_NOISES

@@ -99,7 +99,7 @@ def test_a_rig_without_dbc_sections_does_not_import_cantools() -> None:
 def test_the_control_process_never_imports_cantools() -> None:
     code = (
         "import json, sys; from rigctl.control import control_process; from rigctl.config.settings import RigSettings\n"
-        "from rigctl.control.inbox import Inbox\n"
+        "from rigctl.control.bus.inbox import Inbox\n"
         "Inbox(None, RigSettings.model_validate(json.loads(sys.stdin.read())), None, None)\n"
         "sys.exit('cantools' in sys.modules)"
     )

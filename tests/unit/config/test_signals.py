@@ -28,7 +28,7 @@ sys.modules[spec.name] = module
 spec.loader.exec_module(module)
 
 from rigctl.config.limits_section import LimitSettings
-from rigctl.control import limits
+from rigctl.control.watch import limits
 from rigctl.model.events import Kind, worded
 from rigctl.control.snapshot import Snapshot
 from rigctl.ipc.record import RECORD

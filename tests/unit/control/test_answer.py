@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.control.machine import SUPERVISED_NS, Machine
+from rigctl.control.commands.situation import Situation
 from rigctl.control.modes import NEEDS_MOTOR, Decision, answer, decide
-from rigctl.control.safety import Trip
-from rigctl.control.situation import Situation
+from rigctl.control.power.machine import SUPERVISED_NS, Machine
+from rigctl.control.watch.safety import Trip
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

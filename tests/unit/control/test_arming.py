@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.arming import (
+from rigctl.control.power.arming import (
     AWAIT_NS,
     BRAKE_TEST_MM,
     BRAKE_TEST_NS,
@@ -17,7 +17,7 @@ from rigctl.control.arming import (
     begin,
     prepare,
 )
-from rigctl.control.power_seen import STILL_NS, PowerSeen, Standstill
+from rigctl.control.power.power_seen import STILL_NS, PowerSeen, Standstill
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.checks import Check
 from tests.builders.paths import ROOT

@@ -8,8 +8,8 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.brake_flag import TESTED_SHARE, BrakeFlag, KeptBrake
-from rigctl.control.rope_memory import RopeMemory
+from rigctl.control.load.brake_flag import TESTED_SHARE, BrakeFlag, KeptBrake
+from rigctl.control.load.rope_memory import RopeMemory
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hil.nodes.low_pass import LowPass
 from rigctl.config import rig_file as config
 from rigctl.config.compensation_section import CompensationSettings
-from rigctl.control.cell_correction import TEMPERATURE_S, CellCorrection, CellHistory
+from rigctl.control.bus.cell_correction import TEMPERATURE_S, CellCorrection, CellHistory
 from rigctl.ipc.correction import Correction, CreepTerm, creep_fits
 from tests.builders.paths import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from rigctl.config import rig_file as config
-from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
+from rigctl.control.law.estimator import Array, FilterModel, TensionFilter, filter_model
 from tests.builders.paths import ROOT
 
 SEEDS = 40

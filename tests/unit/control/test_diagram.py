@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from rigctl.control import diagram
 from rigctl.control.modes import TRANSITIONS
-from rigctl.control.stage import ROWS, STAGES
+from rigctl.control.power.stage import ROWS, STAGES
 from tests.builders.paths import ROOT
 
 PAGE = ROOT / "docs/modes.md"

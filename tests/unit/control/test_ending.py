@@ -8,8 +8,8 @@ import pytest
 
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.carried_load import LOWERS_MM_S, SPARE_MM, longest_lowering_s
-from rigctl.control.ending import LIMIT_S, WAITS_NS, Ending, limit_s
+from rigctl.control.load.carried_load import LOWERS_MM_S, SPARE_MM, longest_lowering_s
+from rigctl.control.power.ending import LIMIT_S, WAITS_NS, Ending, limit_s
 from rigctl.model.states import EndStep
 from tests.builders.paths import ROOT
 from tests.unit.conftest import Rig

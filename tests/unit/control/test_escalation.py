@@ -7,8 +7,8 @@ from dataclasses import replace
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.escalation import STEPS, Bounds, Escalation, Escalator, Step
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.watch.escalation import STEPS, Bounds, Escalation, Escalator, Step
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action, Symptom

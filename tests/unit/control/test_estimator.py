@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from rigctl.config import rig_file as config
-from rigctl.control.estimator import FilterModel, TensionFilter, filter_model
+from rigctl.control.law.estimator import FilterModel, TensionFilter, filter_model
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -100,7 +100,7 @@ def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytes
         return states, calls
 
     fast, fast_calls = run()
-    monkeypatch.setattr("rigctl.control.estimator.SETTLED_GAIN", -1.0)
+    monkeypatch.setattr("rigctl.control.law.estimator.SETTLED_GAIN", -1.0)
     full, full_calls = run()
     assert full_calls == 4000
     assert fast_calls < 3000

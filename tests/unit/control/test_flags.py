@@ -7,7 +7,7 @@ from enum import IntFlag
 
 import pytest
 
-from rigctl.control.arming import AWAITED_CHECKS
+from rigctl.control.power.arming import AWAITED_CHECKS
 from rigctl.devices.objects import AiStatus
 from rigctl.ipc.record import FrameFlag
 from rigctl.model.checks import HOST_CHECKS, Check

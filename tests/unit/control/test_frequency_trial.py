@@ -10,8 +10,16 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control import frequency_trial
-from rigctl.control.frequency_trial import HELD, LONGEST_S, PERIOD_S, PERIODS, REGULATED, STRAY_N, FrequencyTrial
+from rigctl.control.excitation import frequency_trial
+from rigctl.control.excitation.frequency_trial import (
+    HELD,
+    LONGEST_S,
+    PERIOD_S,
+    PERIODS,
+    REGULATED,
+    STRAY_N,
+    FrequencyTrial,
+)
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.verbs import Refusal
 from tests.unit.control.test_plain_inbox import CONFIG, Bench

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from rigctl.config.changed_settings import changed
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.gain_table import GainTable, InForce, ScheduledGains, TableEntry, plain
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.law.estimator import TensionFilter, filter_model
+from rigctl.control.law.gain_table import GainTable, InForce, ScheduledGains, TableEntry, plain
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 from tests.builders.rig_bench import SETTINGS
 
 SOFT, HARD = Gains(1.6, 0.15, 1.2), Gains(1.3, 0.15, 1.0)

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.gate import Gate
+from rigctl.control.law.estimator import TensionFilter, filter_model
+from rigctl.control.law.gate import Gate
 from rigctl.model.samples import Verdict
 from tests.builders.paths import ROOT
 

@@ -11,7 +11,7 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.held_tension import (
+from rigctl.control.load.held_tension import (
     FALLEN_NS,
     GROWS_MM,
     GROWS_NS,

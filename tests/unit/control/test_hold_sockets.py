@@ -19,8 +19,8 @@ from types import SimpleNamespace
 import pytest
 
 from rigctl.config import layout
-from rigctl.control import hold_sockets
-from rigctl.control.hold_sockets import REST_NS, Hold, HoldSockets
+from rigctl.control.bus import hold_sockets
+from rigctl.control.bus.hold_sockets import REST_NS, Hold, HoldSockets
 from rigctl.ipc import hold_socket
 from rigctl.ipc.hold_socket import HoldAnswer, socket_name
 from rigctl.ipc.runtime_folder import Runtime

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.homed import GAP_NS, Homed, LastStroke
+from rigctl.control.load.homed import GAP_NS, Homed, LastStroke
 from rigctl.model.verbs import STROKE_TOLERANCE_MM
 from tests.builders.paths import ROOT
 

@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from rigctl.config import rig_file as config
-from rigctl.control.inclination import InclinationFilter, Stretch
+from rigctl.control.law.inclination import InclinationFilter, Stretch
 from rigctl.model.samples import Verdict
 from tests.builders.paths import ROOT
 
@@ -80,7 +80,7 @@ def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytes
         return states, settled
 
     fast, settled = run()
-    monkeypatch.setattr("rigctl.control.inclination.SETTLED_GAIN", -1.0)
+    monkeypatch.setattr("rigctl.control.law.inclination.SETTLED_GAIN", -1.0)
     full, never = run()
     assert settled > 1000
     assert never == 0

@@ -10,8 +10,8 @@ import pytest
 from filterpy.kalman import KalmanFilter as Library
 from scipy.linalg import expm, solve_discrete_are
 
-from rigctl.control.estimator import _inverse
-from rigctl.control.kalman import KalmanFilter, exponential, settled_covariance
+from rigctl.control.law.estimator import _inverse
+from rigctl.control.law.kalman import KalmanFilter, exponential, settled_covariance
 
 
 @pytest.mark.parametrize("seed", range(5))

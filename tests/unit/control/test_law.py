@@ -7,7 +7,7 @@ import math
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 from rigctl.model.states import Flag
 from tests.builders.paths import ROOT
 

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from rigctl.config import rig_file as config
 from rigctl.config.limits_section import LimitSettings, SignalName
-from rigctl.control import limits
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Row
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.watch import limits
+from rigctl.control.watch.safety import Row
 from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -6,18 +6,18 @@ import re
 
 import pytest
 
-from rigctl.control import load_at_rest
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS
-from rigctl.control.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
-from rigctl.control.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
-from rigctl.control.command_checks import RECHECK_NS
-from rigctl.control.ending import LIMIT_S, WAITS_NS
-from rigctl.control.parking import REST_NS, UNDO_MM
-from rigctl.control.power_seen import UNDO_NS
-from rigctl.control.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
-from rigctl.control.stage import ARM_LIMIT_NS, KEPT_NS
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SHOWN_MM
-from rigctl.control.tension import PAYS_OUT_MM_S
+from rigctl.control.commands.command_checks import RECHECK_NS
+from rigctl.control.law.tension import PAYS_OUT_MM_S
+from rigctl.control.load import load_at_rest
+from rigctl.control.load.brake_flag import FALLS, FALLS_NS, MOVED_MM, TESTED_SHARE
+from rigctl.control.load.carried_load import FOLLOWS_MM, FOLLOWS_NS, LOWERS_MM_S, SPARE_MM
+from rigctl.control.load.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, SHOWN_MM
+from rigctl.control.power.arming import AWAIT_NS, BRAKE_TEST_MM, BRAKE_TEST_NS, LONG_TEST_NS
+from rigctl.control.power.ending import LIMIT_S, WAITS_NS
+from rigctl.control.power.parking import REST_NS, UNDO_MM
+from rigctl.control.power.power_seen import UNDO_NS
+from rigctl.control.power.stage import ARM_LIMIT_NS, KEPT_NS
+from rigctl.control.watch.safety import BRAKE_SLIP_MM_S, CORRECTED_MM, NOT_HELD_MM, SINK_MM_S
 from rigctl.model.faults import Trait, having
 from rigctl.model.verbs import CARRY_S
 from tests.builders.paths import ROOT

@@ -6,7 +6,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.findings import HeldTensionSeen
-from rigctl.control.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
+from rigctl.control.load.load_at_rest import BOUNCE_NS, REST_NS, STILL_MM, LoadRest
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.faults import Fault, bits_of
 from rigctl.model.states import LoadAtRest

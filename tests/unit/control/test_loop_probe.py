@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from rigctl.config import rig_file as config
-from rigctl.control.loop_probe import LoopProbe
-from rigctl.control.margin_probe import GROW_S, SETTLED_S
-from rigctl.control.probe_plan import plan
-from rigctl.control.sensor_probe import ProbeFinding
+from rigctl.control.excitation.loop_probe import LoopProbe
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S
+from rigctl.control.excitation.probe_plan import plan
+from rigctl.control.excitation.sensor_probe import ProbeFinding
 from rigctl.control.snapshot import Snapshot
 from rigctl.design.gains import design
 from tests.builders.paths import ROOT

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, SETTLED_S, SPEED_SHARE, Probe, level, signal
+from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S, SPEED_SHARE, Probe, level, signal
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

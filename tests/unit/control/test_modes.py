@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.control.machine import Answer, Machine
+from rigctl.control.commands.situation import Situation
 from rigctl.control.modes import FILED, TRANSITIONS, Decision, command_slot, decide, next_mode
-from rigctl.control.safety import Trip
-from rigctl.control.situation import Situation
-from rigctl.control.stage import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, Sequence
+from rigctl.control.power.machine import Answer, Machine
+from rigctl.control.power.stage import ARM_LIMIT_NS, CUT_AFTER_NS, DRIVE_RESET_NS, Sequence
+from rigctl.control.watch.safety import Trip
 from rigctl.devices.drive import Power
 from rigctl.ipc.record import COMMAND
 from rigctl.model.faults import Fault

@@ -10,8 +10,8 @@ import numpy.typing as npt
 import pytest
 
 from rigctl.config.settings import LearningSettings
-from rigctl.control.move_learning import MOST_N, TAPER_S, MoveLearning, learning_filter
-from rigctl.control.tension import Gains, TensionLaw
+from rigctl.control.law.move_learning import MOST_N, TAPER_S, MoveLearning, learning_filter
+from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.design.learning_margin import learning_law, low_pass
 from rigctl.model.states import Mode
 from tests.builders.rig_bench import SETTINGS

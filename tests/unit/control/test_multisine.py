@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from rigctl.control.multisine import Band, Multisine, multisine
+from rigctl.control.excitation.multisine import Band, Multisine, multisine
 
 BAND = Band(4.0, 0.25, 40.0, 1.25)
 LAG_S, RATE_HZ = 0.02, 1000

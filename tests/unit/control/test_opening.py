@@ -10,8 +10,8 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.opening import mean_share, rest_variances
+from rigctl.control.law.estimator import TensionFilter, filter_model
+from rigctl.control.law.opening import mean_share, rest_variances
 from tests.builders.paths import ROOT
 
 SETTINGS = changed(

@@ -8,7 +8,7 @@ import can
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.outbox import Outbox
+from rigctl.control.bus.outbox import Outbox
 from rigctl.ipc.runtime_folder import Runtime
 from tests.builders.paths import ROOT
 

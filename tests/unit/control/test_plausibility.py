@@ -13,7 +13,7 @@ from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.findings import PlausibilitySeen
-from rigctl.control.plausibility import STRETCH_MEMORY_S, Plausibility
+from rigctl.control.watch.plausibility import STRETCH_MEMORY_S, Plausibility
 from rigctl.model.states import Mode
 from tests.builders import inboxes
 from tests.builders.paths import ROOT

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.load_at_rest import LoadRest
-from rigctl.control.power_off import WAIT_NS, PowerOffWatch
+from rigctl.control.load.load_at_rest import LoadRest
+from rigctl.control.power.power_off import WAIT_NS, PowerOffWatch
 from rigctl.control.snapshot import Snapshot
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.power_seen import PowerDetector, stopping_ns
+from rigctl.control.power.power_seen import PowerDetector, stopping_ns
 from rigctl.devices.objects import Controlword
 from rigctl.model.device_states import DriveState
 from tests.builders.rig_bench import SETTINGS

@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from rigctl.control.power_seen import PowerSeen
-from rigctl.control.preload import Preload
+from rigctl.control.power.power_seen import PowerSeen
+from rigctl.control.power.preload import Preload
 from rigctl.control.snapshot import Snapshot
 from tests.builders.rig_bench import SETTINGS
 

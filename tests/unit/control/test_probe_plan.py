@@ -9,8 +9,8 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.probe_plan import MECHANISM_SCALES, MECHANISMS_N_MM, STIFFNESS_SCALES, ProbePlan, plan
+from rigctl.control.excitation.probe_plan import MECHANISM_SCALES, MECHANISMS_N_MM, STIFFNESS_SCALES, ProbePlan, plan
+from rigctl.control.law.estimator import filter_model
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import OPEN, design, filter_gains
 from rigctl.design.plant_family import member

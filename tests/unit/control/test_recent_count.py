@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigctl.control.recent_count import RecentCount
+from rigctl.control.bus.recent_count import RecentCount
 
 
 def test_what_is_older_than_the_window_counts_in_the_total_alone() -> None:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from rigctl.config import rig_file as config
-from rigctl.control.probe_plan import LEAST_CHANGE, ProbePlan, plan
-from rigctl.control.rope_change import RopeChange
+from rigctl.control.excitation.probe_plan import LEAST_CHANGE, ProbePlan, plan
+from rigctl.control.watch.rope_change import RopeChange
 from rigctl.design.gains import design
 from tests.builders.paths import ROOT
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from rigctl.config.rail_sections import RailEncoderSettings, RunOutSettings
-from rigctl.control.run_out import STOPPED_S, RunOutTable, stale_ns
+from rigctl.control.law.run_out import STOPPED_S, RunOutTable, stale_ns
 from tests.builders import observers
 from tests.builders.rig_bench import SETTINGS
 

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
-from rigctl.control import limits
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Row, preflight, table
 from rigctl.control.snapshot import FieldValue, Snapshot
+from rigctl.control.watch import limits
+from rigctl.control.watch.safety import Row, preflight, table
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault

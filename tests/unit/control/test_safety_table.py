@@ -12,10 +12,10 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
-from rigctl.control import limits
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Row, Trip, preflight, table
 from rigctl.control.snapshot import Snapshot
+from rigctl.control.watch import limits
+from rigctl.control.watch.safety import Row, Trip, preflight, table
 from rigctl.model.checks import HOST_CHECKS, Check
 from rigctl.model.fault_words import fault_text
 from rigctl.model.faults import Fault

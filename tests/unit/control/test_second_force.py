@@ -11,7 +11,7 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.second_force import COMPARED_S, SecondForce
+from rigctl.control.bus.second_force import COMPARED_S, SecondForce
 from rigctl.ipc.correction import Correction
 from tests.builders.paths import ROOT
 

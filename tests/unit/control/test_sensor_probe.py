@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.probe_plan import ProbePlan, plan
-from rigctl.control.sensor_probe import ProbeFinding, SensorProbe
+from rigctl.control.excitation.probe_plan import ProbePlan, plan
+from rigctl.control.excitation.sensor_probe import ProbeFinding, SensorProbe
 from rigctl.design.gains import design
 from tests.builders.paths import ROOT
 

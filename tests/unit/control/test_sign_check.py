@@ -9,7 +9,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.plant_section import in_series
-from rigctl.control.signs import SignCheck
+from rigctl.control.watch.signs import SignCheck
 from rigctl.design.plant_family import family
 from rigctl.model.faults import Fault
 from tests.builders.paths import ROOT

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.power_seen import PowerSeen
-from rigctl.control.rope_memory import RopeMemory
-from rigctl.control.sinking import AGREES_MM, AGREES_SHARE, Sinking
+from rigctl.control.load.rope_memory import RopeMemory
+from rigctl.control.load.sinking import AGREES_MM, AGREES_SHARE, Sinking
+from rigctl.control.power.power_seen import PowerSeen
 from rigctl.control.snapshot import Snapshot
 from tests.builders.paths import ROOT
 

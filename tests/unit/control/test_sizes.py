@@ -19,7 +19,7 @@ def lines(node: ast.FunctionDef | ast.ClassDef) -> int:
 
 def classes() -> Iterator[ast.ClassDef]:
     """Those with behaviour: an enumeration is a table."""
-    for file in CONTROL.glob("*.py"):
+    for file in CONTROL.rglob("*.py"):
         for node in ast.parse(file.read_text()).body:
             if isinstance(node, ast.ClassDef) and not any("Enum" in ast.unparse(base) for base in node.bases):
                 yield node

@@ -32,7 +32,7 @@ def _assigned(tree: ast.AST) -> list[str]:
 
 def test_the_observer_alone_assigns_the_fields_of_the_snapshot_each_in_one_place() -> None:
     places = collections.Counter[str]()
-    for file in (ROOT / "rigctl/control").glob("*.py"):
+    for file in (ROOT / "rigctl/control").rglob("*.py"):
         fields = [name for name in _assigned(ast.parse(file.read_text())) if name in FIELDS]
         assert not fields or file.name == "observer.py", f"{file.name} assigns {fields}"
         places.update(fields)

@@ -9,11 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.control import stage
-from rigctl.control.arming import ArmingStep
-from rigctl.control.safety import Trip
-from rigctl.control.situation import Situation
-from rigctl.control.stage import (
+from rigctl.control.commands.situation import Situation
+from rigctl.control.power import stage
+from rigctl.control.power.arming import ArmingStep
+from rigctl.control.power.stage import (
     ARM_LIMIT_NS,
     CUT_AFTER_NS,
     DRIVE_RESET_NS,
@@ -31,6 +30,7 @@ from rigctl.control.stage import (
     held_by,
     power,
 )
+from rigctl.control.watch.safety import Trip
 from rigctl.devices.drive import Power
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

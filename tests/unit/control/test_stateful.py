@@ -12,12 +12,12 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from rigctl.config import rig_file as config
 from rigctl.config.io_section import IoSettings
 from rigctl.config.limits_section import LimitSettings
-from rigctl.control import limits
+from rigctl.control.commands.situation import Situation
 from rigctl.control.findings import DriveStatusSeen
-from rigctl.control.safety import Trip
-from rigctl.control.situation import Situation
+from rigctl.control.power.stage import ARM_LIMIT_NS
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stage import ARM_LIMIT_NS
+from rigctl.control.watch import limits
+from rigctl.control.watch.safety import Trip
 from rigctl.devices.drive import Power
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action

@@ -9,7 +9,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.stretch_lead import MOST_AHEAD_S, StretchLead
+from rigctl.control.law.stretch_lead import MOST_AHEAD_S, StretchLead
 from tests.builders.paths import ROOT
 
 SETTINGS = changed(config.load(ROOT / "config/paper_rig.yaml"), {"estimator.inclination_swing_hz": 0.58})

@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.control.load.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SHOWN_MM, StrokeHold
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.stroke_hold import AUTHORITY_MM_S, CREEP_MM_S, DEAD_ZONE_MM, SHOWN_MM, StrokeHold
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -9,8 +9,8 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.changed_settings import changed
-from rigctl.control.estimator import TensionFilter, filter_model
-from rigctl.control.sync_timing import SyncTiming
+from rigctl.control.bus.sync_timing import SyncTiming
+from rigctl.control.law.estimator import TensionFilter, filter_model
 from tests.builders import observers
 from tests.builders.paths import ROOT
 

@@ -6,7 +6,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.control.findings import TakeUpSeen
-from rigctl.control.take_up import FACTOR_SHARE, STEADY_S, TakeUp, limit_n, smallest_scale
+from rigctl.control.load.take_up import FACTOR_SHARE, STEADY_S, TakeUp, limit_n, smallest_scale
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config import rig_file as config
-from rigctl.control.tension import RAMP_EASE_S, Estimate, Gains, TensionLaw
+from rigctl.control.law.tension import RAMP_EASE_S, Estimate, Gains, TensionLaw
 from rigctl.model.states import Flag
 from tests.builders.paths import ROOT
 

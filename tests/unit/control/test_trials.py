@@ -7,8 +7,8 @@ import itertools
 import pytest
 
 from rigctl.config import rig_file as config
+from rigctl.control.excitation.trials import QUIET_S, REST_S, Excitation
 from rigctl.control.snapshot import Snapshot
-from rigctl.control.trials import QUIET_S, REST_S, Excitation
 from rigctl.model.verbs import Refusal
 from tests.unit.control.test_plain_inbox import CONFIG, Bench
 

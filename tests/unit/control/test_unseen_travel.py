@@ -8,7 +8,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.unseen_travel import SHARE, UnseenTravel, frozen_mm
+from rigctl.control.watch.unseen_travel import SHARE, UnseenTravel, frozen_mm
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

@@ -46,7 +46,7 @@ def owners(file: pathlib.Path) -> set[str]:
 
 def test_no_part_of_the_tick_assigns_what_another_part_owns() -> None:
     found = collections.defaultdict(set)
-    for file in (ROOT / "rigctl/control").glob("*.py"):
+    for file in (ROOT / "rigctl/control").rglob("*.py"):
         if names := owners(file):
             found[file.stem] = names
     assert dict(found) == {**OWN, **OUTSIDE}

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import estimator
-from rigctl.control.estimator import Array, TensionFilter, filter_model
-from rigctl.control.opening import Opening
-from rigctl.control.tension import Estimate, TensionLaw
+from rigctl.control.law import estimator
+from rigctl.control.law.estimator import Array, TensionFilter, filter_model
+from rigctl.control.law.opening import Opening
+from rigctl.control.law.tension import Estimate, TensionLaw
 from rigctl.design.closed_loop import ClosedLoop, closed_loop, controller
 from rigctl.design.gains import OPEN, QUIET, design, filter_gain, filter_gains
 from rigctl.design.plant_family import Member, member

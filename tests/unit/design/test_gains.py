@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array, FilterModel, TensionFilter, filter_model
+from rigctl.control.law.estimator import Array, FilterModel, TensionFilter, filter_model
 from rigctl.design.gains import OPEN, QUIET, DesignError, design, filter_gain, filter_gains
 from rigctl.design.margins import design_and_check
 

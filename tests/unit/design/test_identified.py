@@ -14,7 +14,7 @@ from rigctl.commission.identification import Drive, Rope
 from rigctl.commission.plant_fit import PlantFit
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
+from rigctl.control.law.estimator import filter_model
 from rigctl.design import identified
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import design, filter_gain

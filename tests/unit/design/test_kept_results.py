@@ -16,7 +16,7 @@ import pytest
 
 from rigctl.config import rig_file
 from rigctl.config.settings import RigSettings
-from rigctl.control.gain_table import ScheduledGains
+from rigctl.control.law.gain_table import ScheduledGains
 from rigctl.design import kept_results
 from rigctl.design.identified import Identified, Uncertain
 from rigctl.design.in_use import design_in_use

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from rigctl.config.settings import LearningSettings, RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.move_learning import learning_filter
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.move_learning import learning_filter
 from rigctl.design import plant_family
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import OPEN, QUIET, DesignError, design, filter_gain, filter_gains

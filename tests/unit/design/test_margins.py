@@ -14,8 +14,8 @@ import pytest
 
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design import identified, plant_family
 from rigctl.design.closed_loop import Controller, closed_loop, controller
 from rigctl.design.gains import design, filter_gain, filter_gains

@@ -125,7 +125,7 @@ def test_a_scenario_agrees_with_the_linear_loop(rig: Rig) -> None:
     """Shake at 3 Hz without noise: amplitude of the true tension by the closed loop's response."""
     settings = rig(tension_cell={"noise_n": 1e-6}, estimator={"cell_noise_scale": 3e4})  # noise assumed, none there
     model = rig()
-    from rigctl.control.estimator import filter_model
+    from rigctl.control.law.estimator import filter_model
 
     believed = filter_model(model)
     law = controller(believed, design(model), filter_gain(believed))

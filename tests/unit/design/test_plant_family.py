@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
+from rigctl.control.law.estimator import filter_model
 from rigctl.design.gains import design
 from rigctl.design.margins import judge
 from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Array, Family, family, member, of_values, sampled

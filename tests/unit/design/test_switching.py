@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
+from rigctl.control.law.estimator import filter_model
 from rigctl.design.closed_loop import closed_loop, controller
 from rigctl.design.gains import OPEN, QUIET, design, filter_gains
 from rigctl.design.margins import controllers, design_and_check, frequency_grid, margins_over

@@ -15,7 +15,7 @@ import yaml
 
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
-from rigctl.control.gain_table import ScheduledGains
+from rigctl.control.law.gain_table import ScheduledGains
 from rigctl.design import gain_file
 from rigctl.design.gain_file import GainFileError
 from rigctl.design.in_use import adopted, design_in_use, design_while_running

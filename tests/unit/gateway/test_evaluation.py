@@ -14,8 +14,8 @@ import pytest
 from rigctl.commission.frequency_response import plant_response
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control import frequency_trial
-from rigctl.control.tension import Gains
+from rigctl.control.excitation import frequency_trial
+from rigctl.control.law.tension import Gains
 from rigctl.gateway.evaluation import EvaluationError, compared, evaluate, law_response
 from rigctl.gateway.excited_records import FIELDS, ExcitedRecords
 from rigctl.ipc.record import RECORD

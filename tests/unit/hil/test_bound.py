@@ -28,7 +28,7 @@ from hil.studies.compare.bound.study import BoundRow, Joint, Ours
 from hil.studies.compare.equal_limits import Known
 from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config import rig_file as config
-from rigctl.control.estimator import filter_model
+from rigctl.control.law.estimator import filter_model
 from rigctl.design import surrogate
 from rigctl.design.closed_loop import closed_loop
 from rigctl.design.gains import OPEN, design

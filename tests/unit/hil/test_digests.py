@@ -21,7 +21,7 @@ from hil.faults.lockstep_run import Bench, Run
 from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
 from rigctl.config import rig_file as config
-from rigctl.control import safety
+from rigctl.control.watch import safety
 from rigctl.design.margins import design_and_check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault

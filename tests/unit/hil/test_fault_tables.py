@@ -6,7 +6,7 @@ import pytest
 
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.fault_tables import show
-from hil.faults.judge import FaultResult
+from hil.faults.judging.judge import FaultResult
 from rigctl.model.faults import Fault
 
 

@@ -8,7 +8,7 @@ from hil.faults import processes
 from hil.faults.catalogue import ROWS
 from hil.faults.drawn.kinds import KINDS
 from hil.faults.fault_tables import confusion_lines
-from hil.faults.naming import NamedRow, Naming, good, naming, shares
+from hil.faults.judging.naming import NamedRow, Naming, good, naming, shares
 from rigctl.diagnosis.diagnose import Culprit
 from rigctl.model.parts import Part
 

@@ -14,8 +14,8 @@ from rich.console import Console
 from hil.studies.moves import moves_output
 from hil.studies.moves.repeated_moves import MoveFigures, RepeatedResult, pieces, variants
 from hil.studies.moves.reversal_laws import Dithered, Predicting
-from rigctl.control.inbox import Inbox
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 from tests.builders.rig_bench import SETTINGS
 
 GAINS = Gains(0.0, 0.0, 0.0)

@@ -19,8 +19,8 @@ from hil.studies.compare.rivals.lqi import Lqi, bryson, kalman_gain
 from hil.studies.compare.rivals.pid import STRETCH_LAG_S, PidFeedForward
 from hil.studies.compare.rivals.proportional import Proportional, ProportionalIntegral, ultimate
 from hil.studies.compare.tuned_laws import NewestSample
-from rigctl.control.estimator import filter_model
-from rigctl.control.tension import Estimate, Gains
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Estimate, Gains
 from rigctl.design.plant_family import Member, member
 from tests.builders.rig_bench import SETTINGS
 

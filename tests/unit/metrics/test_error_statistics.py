@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.estimator import filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design.closed_loop import controller
 from rigctl.design.gains import filter_gain
 from rigctl.design.performance import performance

@@ -64,7 +64,7 @@ def written_in(source: str) -> Iterator[tuple[Kind, str]]:
                         yield Kind[kind.attr], slot
 
 
-LINES = {call for file in (ROOT / "rigctl/control").glob("*.py") for call in written_in(file.read_text())}
+LINES = {call for file in (ROOT / "rigctl/control").rglob("*.py") for call in written_in(file.read_text())}
 WRITTEN = LINES | {
     (event.kind, slot)
     for event in samples()

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
+from rigctl.control.commands.situation import Situation
 from rigctl.control.modes import answer
-from rigctl.control.situation import Situation
 from rigctl.model.checks import Check
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb

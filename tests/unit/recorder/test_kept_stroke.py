@@ -8,10 +8,10 @@ import pathlib
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.control import last_stroke
-from rigctl.control.brake_flag import KeptBrake
-from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import KeptValues
+from rigctl.control.load import last_stroke
+from rigctl.control.load.brake_flag import KeptBrake
+from rigctl.control.load.homed import LastStroke
+from rigctl.control.load.last_stroke import KeptValues
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import RECORDED, Runtime
 from rigctl.model.states import Flag, Mode

@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
-from rigctl.control.readback import Readback
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.bus.readback import Readback
 from rigctl.ipc.notes import Note, RequestLog
 from rigctl.ipc.record import RECORD, FrameFlag, Slot
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime

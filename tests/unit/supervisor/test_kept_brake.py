@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control import last_stroke
-from rigctl.control.brake_flag import KeptBrake
-from rigctl.control.homed import LastStroke
-from rigctl.control.last_stroke import KeptValues
+from rigctl.control.load import last_stroke
+from rigctl.control.load.brake_flag import KeptBrake
+from rigctl.control.load.homed import LastStroke
+from rigctl.control.load.last_stroke import KeptValues
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.states import Flag

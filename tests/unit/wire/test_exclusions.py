@@ -6,8 +6,8 @@ import re
 
 import pytest
 
+from rigctl.control.commands.situation import Situation
 from rigctl.control.modes import decide
-from rigctl.control.situation import Situation
 from rigctl.model.faults import Fault
 from rigctl.model.states import HeldBy, Mode
 from rigctl.model.verbs import Refusal, Verb

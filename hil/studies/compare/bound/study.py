@@ -26,7 +26,7 @@ from hil.studies.compare.equal_limits import Known, LoopLaw, loop_law, played, t
 from hil.studies.compare.rivals import OURS
 from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import filter_model
+from rigctl.control.law.estimator import filter_model
 from rigctl.design import surrogate
 from rigctl.design.margins import controllers
 from rigctl.design.optimise import Limits

@@ -12,8 +12,8 @@ from hil.studies.compare.rivals.lqi import Lqi
 from hil.studies.compare.rivals.pid import PidFeedForward
 from hil.studies.compare.rivals.proportional import Proportional, ProportionalIntegral
 from rigctl.config.settings import RigSettings
-from rigctl.control.inbox import Inbox
-from rigctl.control.tension import Gains, TensionLaw
+from rigctl.control.bus.inbox import Inbox
+from rigctl.control.law.tension import Gains, TensionLaw
 
 OURS, PASSIVE = "ours", "passive"
 

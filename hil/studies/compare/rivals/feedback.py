@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Estimate, Gains, TensionLaw
+from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 
 
 class Sample(NamedTuple):

@@ -7,8 +7,8 @@ import numpy as np
 from hil.studies.compare.rivals.feedback import Feedback, Sample
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
-from rigctl.control.estimator import Array, filter_model
-from rigctl.control.tension import Gains
+from rigctl.control.law.estimator import Array, filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.design.gains import design
 
 STRETCH_MM = 0.05
