@@ -22,8 +22,8 @@ from rigctl.cli.options import (
     say,
     say_json,
 )
+from rigctl.model.lease_acts import Denial
 from rigctl.wire import state_words as figures
-from rigctl.wire.lease import Denial
 
 if TYPE_CHECKING:
     from rigctl.client.connection import Client

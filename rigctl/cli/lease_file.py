@@ -13,7 +13,7 @@ import pathlib
 import stat
 import tempfile
 
-from rigctl.wire.lease import is_id
+from rigctl.model.lease_acts import is_id
 
 _LONGEST = 64
 

@@ -41,11 +41,11 @@ from rigctl.client.stream_source import Question
 from rigctl.identity import credentials
 from rigctl.identity.credentials import Credentials, CredentialsError
 from rigctl.ipc import wall_clock
+from rigctl.model.lease_acts import ACTS, LeaseAct
 from rigctl.model.verbs import COMMAND_S, Verb
 from rigctl.wire import keys
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
-from rigctl.wire.lease import ACTS, LeaseAct
 from rigctl.wire.session import SessionError, close, open_client
 from rigctl.wire.socket_message import COMMAND, STATE
 from rigctl.wire.user_name import user_name, with_user

@@ -23,9 +23,9 @@ from rigctl.control.excitation.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S, 
 from rigctl.control.law.tension import Gains
 from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_TERMS, SCALE_BOUND, Correction, CreepTerm
 from rigctl.ipc.ledger import Entry, Standing, entry
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Setting, SettingOrder, Verb
-from rigctl.wire.command_request import Request
 
 MISFIT = 3.0  # residuals over scatter from which a record is said not to be two exponentials
 EMPTY_SHARE = 0.1

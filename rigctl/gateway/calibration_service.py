@@ -33,8 +33,8 @@ from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Entry, LedgerError, Standing, in_force
 from rigctl.ipc.ring import RingError
 from rigctl.ipc.runtime_folder import ACTIVE, DESIGN, Runtime
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Setting, SettingOrder, Verb
-from rigctl.wire.command_request import Request
 
 READ_NS = 500_000_000  # between two readings of the standing in force
 SETTLE_NS = 2_000_000_000  # a setting the loop has not taken by then it will never take

@@ -24,7 +24,6 @@ from rigctl.config.one_line import on_one_line
 from rigctl.control.excitation.trials import STEP_WAIT_S
 from rigctl.control.modes import FILED, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
-from rigctl.gateway.command_rate import Flow
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.refused_access import AccessRefusal
@@ -33,12 +32,14 @@ from rigctl.ipc.notes import RequestLog
 from rigctl.ipc.record import COMMAND_LIFETIME_NS
 from rigctl.ipc.ring import RingReader, RingWriter
 from rigctl.ipc.writers import OPERATORS
+from rigctl.model.lease_acts import ACTS
+from rigctl.model.requests import LeaseRequest, Request
 from rigctl.model.verbs import Setting, SettingOrder, Verb, VerbTrait, having
+from rigctl.operations.command_rate import Flow
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
-from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, refused, silent, verb_of
-from rigctl.wire.lease import ACTS
-from rigctl.wire.lease_request import LeaseRequest, parse_lease
+from rigctl.wire.command_request import NewestRecord, RequestError, answer, parse, refused, silent, verb_of
+from rigctl.wire.lease_request import parse_lease
 from rigctl.wire.user_name import with_user
 
 POLL_S = 0.002

@@ -11,20 +11,20 @@ from typing import Any
 
 import msgspec
 
-from rigctl.gateway.command_rate import RefusedCommands
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc.notes import Note, worded
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.lease_acts import Denial, LeaseAct, is_id
 from rigctl.model.quantity import count
+from rigctl.model.requests import LeaseRequest, Request
+from rigctl.operations.command_rate import RefusedCommands
+from rigctl.operations.lease import Lease, LeaseChange, LeaseRegister, why_not
 from rigctl.wire.alarm_request import AlarmRequest
 from rigctl.wire.alarms import AlarmAct
-from rigctl.wire.command_request import Request, RequestError, operator_of, refused
-from rigctl.wire.lease import Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
-from rigctl.wire.lease_request import LeaseRequest
+from rigctl.wire.command_request import RequestError, operator_of, refused
 
 IN_FORCE = "lease.json"  # in the runtime folder
-_TAKE = "rigctl lease take"
 NAMES_REPORTED = 4
 _ALARM_NOTES = {
     AlarmAct.ACKNOWLEDGE: Note.ALARM_ACKNOWLEDGED,
@@ -43,18 +43,6 @@ def valid_lease(written: Any, duration_ns: int, now_ns: int) -> Lease | None:
         return None
     sound = 0 <= lease.since_ns <= now_ns and lease.since_ns < lease.until_ns <= now_ns + duration_ns
     return lease if sound else None
-
-
-def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
-    """A denial as one line for the operator."""
-    if denial is Denial.LAPSED:
-        return f"the lease shown has lapsed or was never given, and nobody holds it now; look at the rig, then {_TAKE}"
-    if denial is Denial.NOT_HELD or lease is None:
-        return "nobody holds the lease"
-    elsewhere = " in another terminal or program" if lease.holder == operator else ""
-    since_s, left_s = (now_ns - lease.since_ns) / 1e9, (lease.until_ns - now_ns) / 1e9
-    held = f"{lease.holder} holds the lease{elsewhere}, since {since_s:.0f} s, for another {left_s:.0f} s"
-    return f"{held}; to take it over: {_TAKE} --reason TEXT"
 
 
 class LeaseService:
@@ -152,8 +140,7 @@ class LeaseService:
     def with_lease(self, request: Request | LeaseRequest, message: dict[str, Any], now_ns: int) -> dict[str, Any]:
         """An answer with the lease in force; its id is for its holder alone. A refused command leaves it as it was."""
         operator, id_ = request.operator, request.lease
-        if self._register.is_holder(operator, id_, now_ns):
-            (self._register.accept if message["accepted"] else self._register.refuse)(operator, id_, now_ns)
+        if self._register.settle(operator, id_, now_ns, accepted=message["accepted"]):
             self._save(now_ns)
         lease = self.shown(now_ns)
         if lease is not None and self._register.is_holder(operator, id_, now_ns):
@@ -163,13 +150,7 @@ class LeaseService:
     def shown(self, now_ns: int) -> dict[str, Any] | None:
         """The lease in force as everyone may see it: without its id."""
         lease = self._register.lease(now_ns)
-        if lease is None:
-            return None
-        return {
-            "holder": lease.holder, "since_ns": lease.since_ns, "until_ns": lease.until_ns,
-            "held_s": max(0.0, round((now_ns - lease.since_ns) / 1e9, 1)),
-            "left_s": round((lease.until_ns - now_ns) / 1e9, 1),
-        }  # fmt: skip
+        return None if lease is None else lease.shown(now_ns)
 
     def has_lapsed(self, now_ns: int) -> bool:
         """Whether `expire` has something to do."""

@@ -15,11 +15,11 @@ from typing import Any
 from rigctl.client import local_hold
 from rigctl.client.connection import ChoiceError, Client, NoDaemonError
 from rigctl.config.typed_number import TypedNumberError
+from rigctl.model.lease_acts import Denial
 from rigctl.model.verbs import Verb
 from rigctl.page import typed_fields
 from rigctl.page.picture import Picture
 from rigctl.wire.alarms import AlarmAct
-from rigctl.wire.lease import Denial
 from rigctl.wire.offers import BUTTONS, refused_with
 from rigctl.wire.state_words import measured, number, worded
 from rigctl.wire.typed_values import SHELF_MINUTES, shelf_s

@@ -20,10 +20,10 @@ from typing import Any
 
 from rigctl.identity.access_file import Certified
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.model.lease_acts import ACTS
 from rigctl.model.verbs import Verb, VerbTrait, having
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import ROOT, Keys
-from rigctl.wire.lease import ACTS
 
 READ_TAILS = ("tele/**", "event/**", "events/**", "meta/**", "cfg/**")
 """Ends of the keys on which a daemon publishes and answers; everyone who is let in may read them."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
 from rigctl.config.built_type import built
+from rigctl.model.lease_acts import LeaseAct
+from rigctl.model.requests import LeaseRequest
 from rigctl.wire.command_request import RequestError, decoded, lease_of, operator_of
-from rigctl.wire.lease import LeaseAct
 
 _REASON_LENGTH = 120
 _ALLOWED = {
@@ -24,22 +24,6 @@ class _LeasePayload(msgspec.Struct, forbid_unknown_fields=True):
     lease: Any = None
     reason: str = ""
     run_id: str = ""
-
-
-@dataclass(frozen=True)
-class LeaseRequest:
-    """An operator's request to take or return the lease; ``reason`` may be empty. The others: see `Request`."""
-
-    act: LeaseAct
-    operator: str
-    lease: str | None = None
-    reason: str = ""
-    run_id: str = ""
-
-    @property
-    def command(self) -> str:
-        """The request's name, as its key ends."""
-        return self.act.value
 
 
 def parse_lease(act: LeaseAct, payload: bytes | None) -> LeaseRequest:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from rigctl.ipc.notes import Note
 from rigctl.model.events import Kind
+from rigctl.model.lease_acts import LeaseAct
 from rigctl.model.verbs import Option, Verb
 from rigctl.wire.alarms import AlarmAct
-from rigctl.wire.lease import LeaseAct
 
 Rows = tuple[tuple[str, str, str, str], ...]
 

@@ -16,11 +16,12 @@ from rigctl.control.modes import command_slot
 from rigctl.gateway import command_server
 from rigctl.ipc.ring import RingReader
 from rigctl.model.faults import Fault
+from rigctl.model.lease_acts import ACTS
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 from rigctl.wire.alarms import ALARM_ACTS
-from rigctl.wire.command_request import Request, RequestError
-from rigctl.wire.lease import ACTS
+from rigctl.wire.command_request import RequestError
 from tests.fuzz import mutate
 from tests.fuzz.frames import ONWARD
 from tests.fuzz.judge import Tally

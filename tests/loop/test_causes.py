@@ -24,13 +24,14 @@ from rigctl.gateway.streams import past_messages
 from rigctl.ipc.ledger import Standing
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures
 from rigctl.wire.alarms import Alarm, Alarms
-from rigctl.wire.command_request import NewestRecord, Request, answer
+from rigctl.wire.command_request import NewestRecord, answer
 from rigctl.wire.state_message import Causes
 
 CELL = 0x182

@@ -16,8 +16,8 @@ from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import Measured
 from rigctl.ipc.ledger import Standing
 from rigctl.model.events import Kind
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Refusal, Setting, Verb
-from rigctl.wire.command_request import Request
 from tests.builders.rig_bench import changed
 
 N_K = 0.02

@@ -21,9 +21,9 @@ from rigctl.ipc.ledger import Standing
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
-from rigctl.wire.command_request import Request
 from tests.builders.rig_bench import changed
 
 WEIGHT_N = 294.2

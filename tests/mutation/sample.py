@@ -26,7 +26,7 @@ from tests.mutation.mutants import Mutant, Workshop
 SEED = "rigctl 12"
 SIZE = 300
 PACKAGES = ("rigctl/control", "rigctl/devices", "rigctl/ipc", "rigctl/gateway", "rigctl/recorder", "rigctl/commission",
-            "hil/nodes")  # fmt: skip
+            "rigctl/operations", "hil/nodes")  # fmt: skip
 _ORDER, _SAME, _IS = {"Lt", "LtE", "Gt", "GtE"}, {"Eq", "NotEq"}, {"Is", "IsNot"}
 
 

@@ -21,7 +21,7 @@ from websockets.typing import Origin
 
 from rigctl.client import Rig, connect
 from rigctl.client.connection import Client, NoDaemonError
-from rigctl.wire.lease import Denial
+from rigctl.model.lease_acts import Denial
 from tests.builders import pages
 from tests.soak import plan
 

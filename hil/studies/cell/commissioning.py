@@ -11,8 +11,8 @@ from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry, Standing
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Verb
-from rigctl.wire.command_request import Request
 
 DAY_S = 86_400.0
 OPERATOR = "bench"

@@ -25,8 +25,8 @@ from rigctl.design.plant_family import Member, sampled
 from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.evaluation import response
 from rigctl.ipc.ledger import Entry
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Refusal, Verb
-from rigctl.wire.command_request import Request
 
 WHEN, WHEN_NS = "2026-01-01T00:00:00+00:00", 1_767_225_600_000_000_000
 STIFFNESS, LAG, MECHANISM = 0.005, 0.01, 0.03

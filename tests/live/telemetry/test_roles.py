@@ -18,11 +18,11 @@ import zenoh
 from rigctl.identity import credentials
 from rigctl.identity.issuing import KeyIssuer
 from rigctl.identity.roles import PEOPLE, Role
+from rigctl.model.lease_acts import ACTS
 from rigctl.model.verbs import Verb
 from rigctl.wire.access_control import access_control
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import Keys
-from rigctl.wire.lease import ACTS
 from rigctl.wire.session import SessionError, close, finish, open_client, open_router
 from tests.builders.miniature import free_port
 from tests.builders.paths import ROOT

@@ -22,8 +22,8 @@ from rigctl.ipc.ledger import IN_FORCE, Standing, in_force
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.events import Kind
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Setting, Verb
-from rigctl.wire.command_request import Request
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 

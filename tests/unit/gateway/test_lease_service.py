@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import pathlib
+from typing import Any
 
+import msgspec
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.gateway.command_rate import RefusedCommands
-from rigctl.gateway.lease_service import IN_FORCE, NAMES_REPORTED, LeaseService
+from rigctl.gateway.lease_service import IN_FORCE, NAMES_REPORTED, LeaseService, valid_lease
 from rigctl.ipc.notes import Note
 from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Verb
-from rigctl.wire.command_request import Request
+from rigctl.operations.command_rate import RefusedCommands
+from rigctl.operations.lease import Lease
 from tests.builders.paths import ROOT
 
 S = 1_000_000_000
+TERM = 300 * S
+ID = "0" * 31 + "1"
 
 
 @pytest.fixture
@@ -86,3 +91,19 @@ def test_refused_commands_are_noted_by_name_and_the_rest_together(runtime: Runti
         total = sum(one.count for one in refused[NAMES_REPORTED:])
         each.append((f"{rest} other{'s' if rest > 1 else ''}", f"{total} commands in 10 s"))
     assert [(operator, reason) for _, operator, _, reason in found] == each
+
+
+def test_only_what_a_gateway_would_have_written_is_believed() -> None:
+    good = Lease(ID, "anna", 5 * S, 10 * S)
+    written = msgspec.to_builtins(good)
+    now = 6 * S
+    assert valid_lease(written, TERM, now) == good
+    assert valid_lease(written, TERM, 10 * S) == good  # lapsed meanwhile: the register reports it
+    bad: list[Any] = [
+        None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
+        {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},
+        {**written, "since_ns": -1}, {**written, "until_ns": now + TERM + 1}, {**written, "until_ns": 5 * S},
+        {**written, "until_ns": "soon"}, {**written, "until_ns": 1e30},
+    ]  # fmt: skip
+    for forged in bad:
+        assert valid_lease(forged, TERM, now) is None, forged

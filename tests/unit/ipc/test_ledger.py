@@ -15,8 +15,8 @@ from rigctl.gateway import calibration_findings as findings
 from rigctl.gateway.calibration_findings import FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import LedgerError, Standing
+from rigctl.model.requests import Request
 from rigctl.model.verbs import Setting, Verb
-from rigctl.wire.command_request import Request
 from tests.builders.durable import Disk
 from tests.builders.paths import ROOT
 

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from rigctl.ipc.record import REPLY
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
+from rigctl.model.lease_acts import is_id
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
-from rigctl.wire.command_request import NewestRecord, Request, RequestError, answer, parse, verb_of
-from rigctl.wire.lease import is_id
+from rigctl.wire.command_request import NewestRecord, RequestError, answer, parse, verb_of
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),

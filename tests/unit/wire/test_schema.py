@@ -16,11 +16,11 @@ from rigctl.ipc.notes import Note, note_message
 from rigctl.ipc.record import EVENT, NOTE, RECORD
 from rigctl.model.events import Kind
 from rigctl.model.faults import Fault, faults_of
+from rigctl.model.lease_acts import LeaseAct
 from rigctl.model.verbs import Verb
 from rigctl.wire import command_request as request
 from rigctl.wire.block import decode, encode
 from rigctl.wire.event_message import event_message
-from rigctl.wire.lease import LeaseAct
 from rigctl.wire.lease_request import parse_lease
 from rigctl.wire.schema import VERSION, schema
 

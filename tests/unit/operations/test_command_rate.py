@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigctl.gateway.command_rate import (
+from rigctl.operations.command_rate import (
     ALL_BURST,
     ALL_HZ,
     NAMES_MAX,

@@ -6,16 +6,13 @@ import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
-import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.gateway.lease_service import valid_lease, why_not
 from rigctl.ipc.notes import Note
-from rigctl.wire.command_request import RequestError
-from rigctl.wire.lease import ACTS, ID_BYTES, Denial, Lease, LeaseAct, LeaseChange, LeaseRegister, is_id
-from rigctl.wire.lease_request import LeaseRequest, parse_lease
+from rigctl.model.lease_acts import Denial, is_id
+from rigctl.operations.lease import Lease, LeaseChange, LeaseRegister, why_not
 
 S = 1_000_000_000
 TERM = 300 * S
@@ -200,22 +197,6 @@ def test_any_sequence_has_one_holder_who_lost_it_only_in_ways_that_are_noted(ste
         assert until_ns in (0, now + TERM)
 
 
-def test_only_what_a_gateway_would_have_written_is_believed() -> None:
-    good = Lease(ID, "anna", 5 * S, 10 * S)
-    written = msgspec.to_builtins(good)
-    now = 6 * S
-    assert valid_lease(written, TERM, now) == good
-    assert valid_lease(written, TERM, 10 * S) == good  # lapsed meanwhile: the register reports it
-    bad: list[Any] = [
-        None, [], "x", {}, {**written, "id": "x"}, {**written, "id": ID.upper() + "A"}, {**written, "holder": ""},
-        {**written, "holder": "a\nb"}, {**written, "holder": 7}, {**written, "since_ns": 7 * S},
-        {**written, "since_ns": -1}, {**written, "until_ns": now + TERM + 1}, {**written, "until_ns": 5 * S},
-        {**written, "until_ns": "soon"}, {**written, "until_ns": 1e30},
-    ]  # fmt: skip
-    for forged in bad:
-        assert valid_lease(forged, TERM, now) is None, forged
-
-
 def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
     lease = Lease(ID, "anna", 0, TERM)
     how = "since 88 s, for another 212 s; to take it over: rigctl lease take --reason TEXT"
@@ -225,26 +206,3 @@ def test_a_denial_says_who_since_when_how_long_and_how_to_take_over() -> None:
     assert "rigctl lease take" in why_not(Denial.LAPSED, "kim", None, 0)
     assert why_not(Denial.NOT_HELD, "kim", None, 0) == "nobody holds the lease"
     assert ID not in "".join(why_not(denial, "kim", lease, 0) for denial in Denial)
-
-
-def test_an_act_on_the_lease_is_read() -> None:
-    assert ACTS == {"lease_take": LeaseAct.TAKE, "lease_return": LeaseAct.RETURN}
-    payload = {"operator": " kim ", "reason": " tea ", "lease": ID}
-    expected = LeaseRequest(LeaseAct.TAKE, "kim", ID, "tea")
-    assert parse_lease(LeaseAct.TAKE, msgspec.json.encode(payload)) == expected
-    assert parse_lease(LeaseAct.RETURN, b'{"operator": "kim"}') == LeaseRequest(LeaseAct.RETURN, "kim")
-
-
-@pytest.mark.parametrize("act", LeaseAct)
-@pytest.mark.parametrize(
-    "more",
-    [
-        {"lease": 7}, {"lease": ""}, {"lease": "0" * (2 * ID_BYTES + 1)}, {"lease": "G" * 2 * ID_BYTES},
-        {"lease": [[]]}, {"lease": {"id": ID}}, {"reason": "x" * 121}, {"reason": "a\nb"}, {"reason": 7},
-        {"operator": ""}, {"value": 1}, {"lease": ID + "\n"},
-    ],
-)  # fmt: skip
-def test_a_malformed_act_is_one_line(act: LeaseAct, more: dict[str, Any]) -> None:
-    with pytest.raises(RequestError, match="expected") as refused:
-        parse_lease(act, msgspec.json.encode({"operator": "kim"} | more))
-    assert "\n" not in str(refused.value)

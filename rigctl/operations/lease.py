@@ -9,22 +9,16 @@ command. HOLD needs no lease and takes none.
 
 from __future__ import annotations
 
-import re
 import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from enum import Enum
+from typing import Any
 
 from rigctl.config.built_type import built
 from rigctl.ipc.notes import Note
+from rigctl.model.lease_acts import ID_BYTES, Denial
 
-ID_BYTES = 16
-_ID = re.compile(rf"[0-9a-f]{{{2 * ID_BYTES}}}")
-
-
-def is_id(text: str) -> bool:
-    """Whether ``text`` has the form of a lease's id."""
-    return _ID.fullmatch(text) is not None
+_TAKE = "rigctl lease take"
 
 
 @built
@@ -37,23 +31,13 @@ class Lease:
     since_ns: int
     until_ns: int
 
-
-class LeaseAct(Enum):
-    """Requests about the lease itself; the value is the key's ending."""
-
-    TAKE = "lease_take"
-    RETURN = "lease_return"
-
-
-ACTS = {act.value: act for act in LeaseAct}
-
-
-class Denial(Enum):
-    """Why a command or a request about the lease is refused; the value is the answer's ``reason``."""
-
-    HELD = "lease_held"  # by another operator, terminal or program
-    LAPSED = "lease_lapsed"  # the id shown is not in force, and nobody holds a lease
-    NOT_HELD = "lease_not_held"  # nothing to give back
+    def shown(self, now_ns: int) -> dict[str, Any]:
+        """As everyone may see it: without its id."""
+        return {
+            "holder": self.holder, "since_ns": self.since_ns, "until_ns": self.until_ns,
+            "held_s": max(0.0, round((now_ns - self.since_ns) / 1e9, 1)),
+            "left_s": round((self.until_ns - now_ns) / 1e9, 1),
+        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -134,6 +118,13 @@ class LeaseRegister:
         kept = self._kept_until_ns
         self._lease = None if kept is None else replace(lease, until_ns=kept)
 
+    def settle(self, operator: str, id_: str | None, now_ns: int, *, accepted: bool) -> bool:
+        """A command was answered: `accept` or `refuse`; returns whether it was the holder's."""
+        if not self.is_holder(operator, id_, now_ns):
+            return False
+        (self.accept if accepted else self.refuse)(operator, id_, now_ns)
+        return True
+
     def _extend(self, now_ns: int) -> Lease:
         assert self._lease is not None
         self._lease = replace(self._lease, until_ns=now_ns + self._duration_ns)
@@ -178,3 +169,15 @@ class LeaseRegister:
 
     def _drawn(self, operator: str, now_ns: int) -> Lease:
         return Lease(self._make_id(), operator, now_ns, now_ns + self._duration_ns)
+
+
+def why_not(denial: Denial, operator: str, lease: Lease | None, now_ns: int) -> str:
+    """A denial as one line for the operator."""
+    if denial is Denial.LAPSED:
+        return f"the lease shown has lapsed or was never given, and nobody holds it now; look at the rig, then {_TAKE}"
+    if denial is Denial.NOT_HELD or lease is None:
+        return "nobody holds the lease"
+    elsewhere = " in another terminal or program" if lease.holder == operator else ""
+    since_s, left_s = (now_ns - lease.since_ns) / 1e9, (lease.until_ns - now_ns) / 1e9
+    held = f"{lease.holder} holds the lease{elsewhere}, since {since_s:.0f} s, for another {left_s:.0f} s"
+    return f"{held}; to take it over: {_TAKE} --reason TEXT"
