@@ -11,7 +11,6 @@ import msgspec
 from hil.faults.stand import Step
 from hil.lockstep import Lockstep
 from hil.ways_out.offer_check import misoffered
-from rigctl.commission.preflight import PreflightVerdict
 from rigctl.devices.startup import StartupError
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
@@ -22,6 +21,7 @@ from rigctl.model.parts import Part
 from rigctl.model.reactions import Action
 from rigctl.model.states import Mode, Witness
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations.preflight import PreflightVerdict
 from rigctl.wire.instructions import Hands, HandsAt, Instruction, ReadAtRig
 from rigctl.wire.operator_view import view
 from rigctl.wire.trust import doubts

@@ -12,10 +12,10 @@ from typing import Any
 
 from rigctl import __version__
 from rigctl.cli.doctor_host import DoctorFinding, fails, good, warning
-from rigctl.commission import preflight
 from rigctl.config.settings import LoopSettings, RigSettings
-from rigctl.ipc import ledger
+from rigctl.ipc import ledger, written_folders
 from rigctl.model.checks import Check
+from rigctl.operations import preflight
 
 TRY_S = 20.0
 TITLES: dict[Check, str] = {
@@ -108,7 +108,7 @@ def without(settings: RigSettings) -> list[DoctorFinding]:
         return [fails("calibration: in force", str(error), "a ledger"), *_realtime(settings.loop)]
     standing = ledger.standing(settings, entries, time.time_ns())
     active = {"design": _design(settings)}
-    found = preflight.judge(settings, standing, active, {}, preflight.folders(settings), datetime.now(UTC))
+    found = preflight.judge(settings, standing, active, {}, written_folders.folders(settings), datetime.now(UTC))
     failing = {check.name: why for check, why in found.failing.items()}
     waived = {check.name: words for check, words in found.waived.items()}
     return [*(_check(check, failing, waived) for check in WITHOUT_DAEMON), *_realtime(settings.loop)]

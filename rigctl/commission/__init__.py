@@ -1,1 +1,1 @@
-"""Commissioning: preflight on the host, identification, and the proposal that follows from it."""
+"""Commissioning: identification, responses and fits, and the proposal that follows from them."""

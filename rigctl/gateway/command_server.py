@@ -19,13 +19,13 @@ from typing import Any
 
 import msgspec
 
-from rigctl.commission.preflight import Preflight
 from rigctl.config.one_line import on_one_line
 from rigctl.control.excitation.trials import STEP_WAIT_S
 from rigctl.control.modes import FILED, command_slot
 from rigctl.gateway.calibration_service import CalibrationService, Filed
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.lease_service import LeaseService
+from rigctl.gateway.preflight_service import PreflightService
 from rigctl.gateway.refused_access import AccessRefusal
 from rigctl.ipc import ledger
 from rigctl.ipc.notes import RequestLog
@@ -145,7 +145,7 @@ class CommandServer:
         calibration: CalibrationService,
         leases: LeaseService,
         log: RequestLog,
-        preflight: Preflight,
+        preflight: PreflightService,
         run_id: str = "",
     ) -> None:
         """``newest``: reads the newest record; ``limits_n``: lowest and highest target; ``log``: for the audit log.

@@ -19,7 +19,6 @@ import msgspec
 import zenoh
 from pydantic import ValidationError
 
-from rigctl.commission.preflight import Preflight, PreflightVerdict
 from rigctl.config.settings import RigSettings
 from rigctl.control.realtime import die_with_parent
 from rigctl.control.watch import limits, safety
@@ -35,6 +34,7 @@ from rigctl.gateway.command_socket import CommandSocket
 from rigctl.gateway.ended_processes import EndedProcesses, ProcessNote
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.margin_service import MarginService
+from rigctl.gateway.preflight_service import PreflightService
 from rigctl.gateway.published_position import Cursor
 from rigctl.gateway.refused_access import RefusedAccess, ZenohLog
 from rigctl.gateway.stalled_processes import StalledProcesses
@@ -59,6 +59,7 @@ from rigctl.ipc.termination import Termination
 from rigctl.model.checks import HOST_CHECKS
 from rigctl.model.faults import Fault
 from rigctl.model.verbs import Setting, SettingOrder
+from rigctl.operations.preflight import PreflightVerdict
 from rigctl.wire.command_request import newest_record
 from rigctl.wire.keys import Keys
 from rigctl.wire.offers import offers
@@ -295,7 +296,9 @@ class Gateway:
         self._newest = newest = runtime.records.reader()
         self._calibration = calibration = CalibrationService(runtime, settings)
         self._margins = MarginService(runtime, settings, calibration.excited, calibration.record)
-        self._preflight = Preflight(runtime, settings, lambda: calibration.standing, self._view.check_details.read)
+        self._preflight = PreflightService(
+            runtime, settings, lambda: calibration.standing, self._view.check_details.read
+        )
         self._read_ns, self._outdated = 0, False
         self._changes, self._ended = (
             changes_noted(runtime.notes.reader(from_start=True).read()),

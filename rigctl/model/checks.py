@@ -214,4 +214,4 @@ class Check(IntFlag):
 
 _EVERY = sum(check.value for check in Check)
 HOST_CHECKS = Check.TARE | Check.MARGINS | Check.REALTIME | Check.DISK | Check.HOST
-"""Checks the loop cannot make itself, see `rigctl.commission.preflight`."""
+"""Checks the loop cannot make itself, see `rigctl.operations.preflight`."""

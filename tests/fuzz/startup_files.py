@@ -22,7 +22,6 @@ from datetime import UTC, datetime
 import msgspec
 
 from rigctl.cli.lease_file import LeaseFile
-from rigctl.commission import preflight
 from rigctl.config import rig_file as config
 from rigctl.config.rig_file import ConfigError
 from rigctl.config.settings import RigSettings
@@ -38,6 +37,7 @@ from rigctl.devices import eds_file
 from rigctl.devices.process_data import wanted
 from rigctl.devices.sdo import Watched
 from rigctl.gateway import lease_service as lease_keeper
+from rigctl.gateway import preflight_service
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.published_position import Cursor
@@ -214,7 +214,7 @@ def _of_the_daemon(runtime: Runtime, rig: RigSettings) -> list[File]:
 
     def control() -> None:
         supervisor._say_real_time()
-        preflight.look(runtime, rig, Standing(), datetime.now(UTC))
+        preflight_service.look(runtime, rig, Standing(), datetime.now(UTC))
         warnings_of(ActiveConfiguration(runtime).control)
 
     def recorded() -> None:

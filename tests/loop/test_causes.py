@@ -15,7 +15,6 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep
 from hil.wire import FRAME
 from rigctl.cli import status
-from rigctl.commission.preflight import PreflightVerdict
 from rigctl.devices import objects
 from rigctl.gateway.active import ActiveConfiguration
 from rigctl.gateway.gateway_process import StateView
@@ -27,6 +26,7 @@ from rigctl.model.faults import Fault
 from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations.preflight import PreflightVerdict
 from rigctl.page.panel import state_message
 from rigctl.page.picture import Picture
 from rigctl.wire import state_words as figures

@@ -98,7 +98,7 @@ def test_the_rigs_computer_carries_nothing_of_simulation_and_reports(module: str
 
 @pytest.mark.parametrize(
     "module", ["supervisor.daemon", "control.control_process", "gateway.gateway_process",
-               "recorder.recorder_process", "page.serve", "cli.app", "design.in_use", "commission.preflight"],
+               "recorder.recorder_process", "page.serve", "cli.app", "design.in_use", "operations.preflight"],
 )  # fmt: skip
 def test_the_rigs_computer_runs_without_reports_and_simulation(module: str) -> None:
     answer = without("ops", "sim", run=f"import rigctl.{module}")

@@ -8,13 +8,14 @@ from typing import Any
 
 import pytest
 
-from rigctl.commission import cell_uncertainty, preflight
+from rigctl.commission import cell_uncertainty
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import ledger, wall_clock
 from rigctl.ipc.ledger import Standing
 from rigctl.ipc.wall_clock import CLOCKS_DIFFER, RELEASED, SERVICE, age, doubt, unset
 from rigctl.model.checks import Check
+from rigctl.operations import preflight
 from tests.builders.paths import ROOT
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")

@@ -17,7 +17,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rigctl.commission.preflight import PreflightVerdict
 from rigctl.config import rig_file as config
 from rigctl.gateway import published_position
 from rigctl.gateway.active import ActiveConfiguration
@@ -36,6 +35,7 @@ from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
 from rigctl.model.samples import Quality
 from rigctl.model.states import Flag, HeldBy, Mode
+from rigctl.operations.preflight import PreflightVerdict
 from rigctl.wire.event_message import event_message
 from rigctl.wire.record_names import ALIVE_NS, quality_words
 from rigctl.wire.state_message import Recent, TripEvents, state_of, warnings_of

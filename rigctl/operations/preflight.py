@@ -1,35 +1,21 @@
 """The host checks, the part of the preflight the loop cannot make itself: files, margins, real time, disk space.
 
-The gateway judges them in a separate thread, because a disk may be slow, twice a second and more often while a check
-fails. The loop gets the result when it changes and before every ARM (`rigctl.model.verbs.Setting.HOST_CHECKS`).
+The loop gets the result when it changes and before every ARM (`rigctl.model.verbs.Setting.HOST_CHECKS`).
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
-import pathlib
-import threading
-import time
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime, timedelta
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
 from typing import Any
 
-import msgspec
-
-from rigctl.config import layout
 from rigctl.config.settings import RigSettings
 from rigctl.ipc import ledger, wall_clock
 from rigctl.ipc.ledger import Standing, moment
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.ipc.written_folders import Folder
 from rigctl.model.checks import HOST_CHECKS, Check
-
-CONTROL = "control.json"
-LOOK_S, LOOK_AGAIN_S = 0.5, 0.1  # interval of the checks, normally and while one fails
-FIRST_LOOK_S = 1.0  # a starting gateway waits at most this long for the first result
-STALE_NS = 2_000_000_000  # an older result is not valid: with a hanging disk no rig is armed
-MIB = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -52,15 +38,6 @@ class PreflightVerdict:
         for check in self.failing:
             bits |= check & HOST_CHECKS
         return bits
-
-
-@dataclass(frozen=True)
-class Folder:
-    """A folder the rig writes to, its free space (None: unknown), and whether this process may write there."""
-
-    path: pathlib.Path
-    free_mib: int | None
-    writable: bool = True
 
 
 def judge(
@@ -88,26 +65,6 @@ def judge(
     )
     failing = {check: why for check, why, words in found if why and not words}
     return PreflightVerdict(failing, {check: " ".join(words.split()) for check, why, words in found if why and words})
-
-
-def folders(settings: RigSettings) -> list[Folder]:
-    """Folders the rig file has written to: one for each disk, and each folder this process may not write to."""
-    file = settings.ledger
-    # In the installed service only the ledger is this process's to write; the recorder reports what it cannot.
-    apart = layout.is_installed(settings.directory)
-    places = [*([file.parent] if file else []), settings.audit_log.parent, settings.kept(settings.audit.trips)]
-    found: dict[int, Folder] = {}
-    for place in places:
-        there = next((path for path in (place, *place.parents) if path.is_dir()), pathlib.Path("/"))
-        try:
-            free = os.statvfs(there)
-            judged = not apart or (file is not None and place == file.parent)
-            writable = not judged or os.access(there, os.W_OK | os.X_OK, effective_ids=True)
-            disk = there.stat().st_dev if writable else -len(found) - 1
-            found.setdefault(disk, Folder(place, free.f_bavail * free.f_frsize // MIB, writable))
-        except OSError:
-            found.setdefault(-len(found) - 1, Folder(place, None))
-    return list(found.values())
 
 
 def _calibration(settings: RigSettings, standing: Standing, now: datetime) -> str:
@@ -180,52 +137,3 @@ def _supervision(control: Mapping[str, Any]) -> str:
         for item in wrong
     ]
     return f"drive does not enforce its own stop: {'; '.join(words)}: set it in the drive" if words else ""
-
-
-class Preflight:
-    """Judges the host checks in a thread and keeps the newest verdict."""
-
-    def __init__(
-        self,
-        runtime: Runtime,
-        settings: RigSettings,
-        standing: Callable[[], Standing],
-        details: Callable[[], Mapping[Check, str]] = dict,
-    ) -> None:
-        """``standing``: the ledger's standing now. ``details``: details of the loop's own checks."""
-        self._details = details
-        self._runtime, self._settings, self._standing = runtime, settings, standing
-        self._newest: tuple[int, PreflightVerdict] | None = None
-        self._first, self._stop = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._serve, name="preflight", daemon=True)
-        self._thread.start()
-        self._first.wait(FIRST_LOOK_S)
-
-    def close(self) -> None:
-        """End the thread."""
-        self._stop.set()
-
-    def verdict(self, now_ns: int) -> PreflightVerdict:
-        """The newest verdict; only `Check.HOST` fails in it if it is stale at ``now_ns`` (CLOCK_MONOTONIC)."""
-        if self._newest is None or now_ns - self._newest[0] > STALE_NS:
-            return PreflightVerdict(
-                {Check.HOST: "tare, margins, real time and disk cannot be looked at: does a disk hang?"}
-            )
-        return replace(self._newest[1], known=self._details())
-
-    def _serve(self) -> None:
-        while not self._stop.is_set():
-            began_ns = time.monotonic_ns()
-            found = look(self._runtime, self._settings, self._standing(), datetime.now(UTC))
-            self._newest = began_ns, found
-            self._first.set()
-            self._stop.wait(LOOK_AGAIN_S if found.failing else LOOK_S)
-
-
-def look(runtime: Runtime, settings: RigSettings, standing: Standing, now: datetime) -> PreflightVerdict:
-    """Read files and disks and judge them."""
-    read: dict[str, dict[str, Any]] = {ACTIVE: {}, CONTROL: {}}
-    for name in read:
-        with contextlib.suppress(OSError, msgspec.MsgspecError):
-            read[name] = runtime.read_json(name)
-    return judge(settings, standing, read[ACTIVE], read[CONTROL], folders(settings), now)

@@ -5,24 +5,19 @@ from __future__ import annotations
 import os
 import pathlib
 import tempfile
-import time
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import pytest
 
-from rigctl.commission import preflight
-from rigctl.commission.preflight import Folder, Preflight, PreflightVerdict, judge
 from rigctl.config import rig_file as config
-from rigctl.config.settings import RigSettings
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Standing
-from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.written_folders import Folder, folders
 from rigctl.model.checks import HOST_CHECKS, Check
+from rigctl.operations.preflight import PreflightVerdict, judge
 from tests.builders.paths import ROOT
-from tests.builders.waiting import until
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
 assert PAPER.calibration is not None
@@ -147,43 +142,6 @@ def test_the_tare_that_holds_is_the_newest_that_was_not_withdrawn() -> None:
     assert ledger.standing(STRICT, [item("identify", stamp(1))], wall_ns).tared is None
 
 
-def test_room_is_that_of_the_folder_or_of_the_nearest_there_is(tmp_path: pathlib.Path) -> None:
-    settings = STRICT.model_copy(update={"directory": str(tmp_path / "not" / "there")})
-    (found,) = preflight.folders(settings)  # all on one disk
-    disk = os.statvfs(tmp_path)
-    assert found.free_mib == pytest.approx(disk.f_bavail * disk.f_frsize / preflight.MIB, rel=0.2)
-
-
-@pytest.fixture
-def settings(tmp_path: pathlib.Path) -> RigSettings:
-    least = PAPER.preflight.model_copy(update={"disk_free_mib": 1})
-    return STRICT.model_copy(update={"directory": str(tmp_path), "preflight": least})
-
-
-def test_it_looks_by_itself_and_sees_what_changes(settings: RigSettings, tmp_path: pathlib.Path) -> None:
-    runtime = Runtime(tmp_path)
-    now = datetime.now(UTC)
-    standing = [Standing(due=f"{now + timedelta(days=9):%Y-%m-%dT%H:%M:%SZ}", tared=f"{now:%Y-%m-%dT%H:%M:%SZ}")]
-    watched = Preflight(runtime, settings, lambda: standing[0])
-    try:
-        until(lambda: set(watched.verdict(time.monotonic_ns()).failing) == {Check.MARGINS, Check.REALTIME})
-        runtime.write_json("active.json", GOOD["active"])
-        runtime.write_json("control.json", GOOD["control"])
-        until(lambda: watched.verdict(time.monotonic_ns()) == PreflightVerdict({}, {}))
-        standing[0] = replace(standing[0], tared=None)
-        until(lambda: watched.verdict(time.monotonic_ns()).host_checks == Check.TARE)
-    finally:
-        watched.close()
-    assert watched.verdict(time.monotonic_ns() + 2 * preflight.STALE_NS).host_checks == Check.HOST  # renewed no more
-
-
-def test_a_file_that_cannot_be_read_is_not_known(settings: RigSettings, tmp_path: pathlib.Path) -> None:
-    (tmp_path / "active.json").write_text("{")
-    (tmp_path / "control.json").mkdir()
-    found = preflight.look(Runtime(tmp_path), settings, Standing(), NOW)
-    assert {Check.MARGINS, Check.REALTIME} <= set(found.failing)
-
-
 @pytest.fixture
 def another_user() -> Iterator[pathlib.Path]:
     """A folder this process may read but not write; root takes another user's id meanwhile."""
@@ -201,7 +159,7 @@ def another_user() -> Iterator[pathlib.Path]:
 
 def test_a_folder_the_user_may_not_write_to_has_no_room(another_user: pathlib.Path) -> None:
     settings = STRICT.model_copy(update={"directory": str(another_user)})
-    found = preflight.folders(settings)
+    found = folders(settings)
     assert not all(folder.writable for folder in found)
     why = verdict(settings=settings, folders=found).failing[Check.DISK]
     assert f"{another_user}/calibration" in why
