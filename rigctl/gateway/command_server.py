@@ -22,7 +22,8 @@ import msgspec
 from rigctl.config.one_line import on_one_line
 from rigctl.control.excitation.trials import STEP_WAIT_S
 from rigctl.control.modes import FILED, command_slot
-from rigctl.gateway.calibration_service import CalibrationService, Filed
+from rigctl.control.trials import STEP_WAIT_S
+from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.lease_service import LeaseService
 from rigctl.gateway.preflight_service import PreflightService
@@ -36,6 +37,7 @@ from rigctl.model.lease_acts import ACTS
 from rigctl.model.requests import LeaseRequest, Request
 from rigctl.model.verbs import Setting, SettingOrder, Verb, VerbTrait, having
 from rigctl.operations.command_rate import Flow
+from rigctl.operations.filing import Filed
 from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, RequestError, answer, parse, refused, silent, verb_of

@@ -21,8 +21,8 @@ from rigctl.config.margins_section import MarginsSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.excitation.margin_probe import GROW_S, WINDOW_S
 from rigctl.design.gains import design
-from rigctl.gateway.evaluation import law_response, margins
 from rigctl.model.states import Mode
+from rigctl.operations.evaluation import law_response, margins
 from tests.builders import daemons
 from tests.builders.excited import built, tensioned
 from tests.builders.linear_plant import true_plant, true_sensitivities

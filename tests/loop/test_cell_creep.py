@@ -11,10 +11,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.commission.load_record import bins_of
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.excitation.trials import CREEP_BINS
-from rigctl.control.law.tension import Gains
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
+from rigctl.control.tension import Gains
+from rigctl.control.trials import CREEP_BINS
 from rigctl.ipc.correction import Correction, CreepTerm
 from rigctl.ipc.ledger import Standing
 from rigctl.model.events import Kind
@@ -22,6 +20,8 @@ from rigctl.model.faults import Fault
 from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Setting, Verb
+from rigctl.operations.calibration_findings import CalibrationFinding, FindingError, Measured
+from rigctl.operations.creep_finding import creep
 from tests.builders.rig_bench import changed
 
 WEIGHT_N = 294.2
@@ -60,7 +60,7 @@ def record(rig: Lockstep) -> Measured:
 def found(rig: Lockstep, measured: Measured, now: Standing = NEW, *, adopt: bool = False) -> CalibrationFinding:
     request = Request(Verb.CALIBRATE, "kim", WEIGHT_N, creep_s=RECORD_S, adopt=adopt)
     bins = bins_of(rig.runtime.events.reader(from_start=True).read())
-    return findings.creep(rig.settings, request, now, measured, bins)
+    return creep(rig.settings, request, now, measured, bins)
 
 
 def off_n(rig: Lockstep, seconds: float) -> float:

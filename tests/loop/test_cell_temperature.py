@@ -12,12 +12,12 @@ from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.devices import objects as od
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.calibration_findings import Measured
 from rigctl.ipc.ledger import Standing
 from rigctl.model.events import Kind
 from rigctl.model.requests import Request
 from rigctl.model.verbs import Refusal, Setting, Verb
+from rigctl.operations import calibration_findings as findings
+from rigctl.operations.calibration_findings import Measured
 from tests.builders.rig_bench import changed
 
 N_K = 0.02

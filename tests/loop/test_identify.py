@@ -15,13 +15,13 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
 from rigctl.config.settings import RigSettings
-from rigctl.control.excitation.trials import STEP_N, STRAY_N, UNFELT_N
-from rigctl.control.law.tension import Gains
-from rigctl.gateway import calibration_findings as findings
+from rigctl.control.tension import Gains
+from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
 from rigctl.model.faults import Fault
 from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations import calibration_findings as findings
 from tests.builders.paths import ROOT
 from tests.builders.random_plants import KEYS, identify_all, plants
 from tests.loop.test_trials import cell_reads, give

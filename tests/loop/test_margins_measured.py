@@ -15,12 +15,12 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.excitation.margin_probe import GROW_S, SETTLED_S, WINDOW_S, level, signal
 from rigctl.control.watch import limits
 from rigctl.design.gains import design
-from rigctl.gateway.evaluation import law_response, margins
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Refusal, Setting, Verb
+from rigctl.operations.evaluation import law_response, margins
 from tests.builders.excited import built, tensioned
 from tests.builders.linear_plant import true_plant, true_sensitivities
 from tests.builders.paths import ROOT

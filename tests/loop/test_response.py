@@ -17,9 +17,9 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.excitation.frequency_trial import HELD, REGULATED, STRAY_N
 from rigctl.control.law.tension import Gains
 from rigctl.design.gains import design
-from rigctl.gateway.evaluation import law_response, response
 from rigctl.model.states import Flag, Mode
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations.evaluation import law_response, response
 from tests.builders.excited import built, respond, tensioned
 from tests.builders.linear_plant import true_plant, true_sensitivities
 from tests.builders.paths import ROOT

@@ -14,9 +14,7 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.law.tension import Gains
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.calibration_findings import CalibrationFinding, Measured
+from rigctl.control.tension import Gains
 from rigctl.ipc.ledger import Standing
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind
@@ -24,6 +22,8 @@ from rigctl.model.faults import Fault
 from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations import calibration_findings as findings
+from rigctl.operations.calibration_findings import CalibrationFinding, Measured
 from tests.builders.rig_bench import changed
 
 WEIGHT_N = 294.2

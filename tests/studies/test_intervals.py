@@ -18,9 +18,9 @@ from rigctl.commission.identification import IdentificationError
 from rigctl.config import rig_file as config
 from rigctl.design.gains import design
 from rigctl.devices.objects import MM_PER_POSITION_UNIT
-from rigctl.gateway.evaluation import response
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal
+from rigctl.operations.evaluation import response
 from tests.builders import daemons
 from tests.builders.excited import built, respond, tensioned
 from tests.builders.linear_plant import true_plant

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 
 from hil.studies.cell.bench import CellBench
 from hil.studies.cell.drawn_cell import DrawnCell
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.calibration_findings import CalibrationFinding, FindingError, Measured
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry, Standing
 from rigctl.model.requests import Request
 from rigctl.model.verbs import Verb
+from rigctl.operations import calibration_findings as findings
+from rigctl.operations.calibration_findings import CalibrationFinding, FindingError, Measured
+from rigctl.operations.creep_finding import creep
 
 DAY_S = 86_400.0
 OPERATOR = "bench"
@@ -42,7 +43,7 @@ class Commissioned:
         request = Request(Verb.CALIBRATE, OPERATOR, creep_s=seconds, adopt=True)
         measured = Measured(0.0, 0.0, bench.wall_ns, seconds)
         try:
-            found = findings.creep(bench.settings, request, self.standing, measured, bins)
+            found = creep(bench.settings, request, self.standing, measured, bins)
         except FindingError:
             return  # not told from drift: the class's creep stays in the budget
         self._file(found, held_s=seconds)

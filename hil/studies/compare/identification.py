@@ -22,11 +22,11 @@ from rigctl.config.settings import RigSettings
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified, NotIdentifiedError, Uncertain, points
 from rigctl.design.plant_family import Member, sampled
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.evaluation import response
 from rigctl.ipc.ledger import Entry
 from rigctl.model.requests import Request
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations import calibration_findings as findings
+from rigctl.operations.evaluation import response
 
 WHEN, WHEN_NS = "2026-01-01T00:00:00+00:00", 1_767_225_600_000_000_000
 STIFFNESS, LAG, MECHANISM = 0.005, 0.01, 0.03

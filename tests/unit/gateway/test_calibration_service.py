@@ -15,8 +15,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.gateway import calibration_findings as findings
-from rigctl.gateway.calibration_service import CalibrationService, Filed
+from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import IN_FORCE, Standing, in_force
 from rigctl.ipc.record import RECORD
@@ -24,6 +23,8 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.events import Kind
 from rigctl.model.requests import Request
 from rigctl.model.verbs import Setting, Verb
+from rigctl.operations import calibration_findings as findings
+from rigctl.operations.filing import Filed
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 
@@ -71,45 +72,6 @@ def test_a_tare_is_on_record_before_it_is_in_force(
     assert in_force(Runtime(tmp_path)).zero_n == service.standing.zero_n == 1.5
 
 
-@pytest.mark.parametrize(
-    ("weight_n", "possible"),
-    [(0.5, True), (PAPER.tension_cell.range_n, True), (0.0, False), (-1.0, False), (1e6, False)],
-)
-def test_a_known_weight_is_above_nothing_and_within_the_cells_range(weight_n: float, possible: bool) -> None:
-    why = findings.impossible(PAPER, Request(Verb.CALIBRATE, "kim", weight_n))
-    assert (why is None) is possible
-
-
-def test_what_the_loop_did_not_take_is_withdrawn(service: CalibrationService, settings: RigSettings) -> None:
-    service.withdraw(filed(service))
-    service.close()
-    entries = ledger.read(settings)
-    assert [entry.what for entry in entries] == ["tare", "tare withdrawn"]
-    assert ledger.standing(settings, entries, 0).zero_n == 0.0
-
-
-def test_a_ledger_that_cannot_be_read_any_more_changes_nothing(
-    service: CalibrationService, settings: RigSettings
-) -> None:
-    path = settings.ledger
-    assert path is not None
-    path.parent.mkdir()
-    path.write_text("{")
-    given = filed(service)
-    assert (given.finding, given.reason) == (None, "not_recorded")
-    assert "nothing was changed" in given.text
-    assert path.read_text() == "{"
-
-
-def test_an_identification_whose_records_are_gone_is_refused(
-    service: CalibrationService, settings: RigSettings, tmp_path: pathlib.Path
-) -> None:
-    Runtime(tmp_path).make_rings(settings)
-    given = filed(service, Request(Verb.IDENTIFY, "kim"))
-    assert (given.finding, given.reason) == (None, "out_of_bounds")
-    assert "not there any more" in given.text
-
-
 def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
     service: CalibrationService, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -133,25 +95,13 @@ def test_an_identification_goes_by_the_ticks_of_its_excitation_alone(
     assert seen == [t_s * S for t_s in range(9, 16)]
 
 
-def test_the_due_date_is_sent_once_when_it_has_passed(service: CalibrationService) -> None:
-    given = filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1)
-    assert given.finding is not None
+def test_the_standing_in_force_is_read_twice_a_second(service: CalibrationService) -> None:
+    service.put_in_force(filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
     wall_ns = time.time_ns()
-    assert given.standing is not None
-    service.put_in_force(given)
-    assert service.settings_due(1 * S, time.time_ns()) == []
-    assert service.settings_due(1 * S + 1, 1 << 62) == ()  # the files were read a moment ago
+    assert service.settings_due(1 * S, wall_ns) == []
+    assert service.settings_due(1 * S + 1, wall_ns + 3650 * 86_400 * S) == ()
     assert service.settings_due(2 * S, wall_ns + 3650 * 86_400 * S) == [(Setting.OVERDUE, (1.0,))]
     assert service.standing.overdue
-    assert service.settings_due(3 * S, wall_ns + 3650 * 86_400 * S) == []
-    assert service.settings_due(4 * S, wall_ns) == [(Setting.OVERDUE, (0.0,))], "the clock was ahead, and is set"
-
-
-@pytest.mark.parametrize("clock_ns", [0, 4_070_908_800 * S], ids=["1970", "2099"])
-def test_by_a_clock_that_cannot_be_right_no_due_date_passes(service: CalibrationService, clock_ns: int) -> None:
-    service.put_in_force(filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1))
-    assert service.settings_due(1 * S, clock_ns) == []
-    assert not service.standing.overdue
 
 
 def test_a_measurement_that_cannot_be_judged_is_answered_and_so_is_the_next(
@@ -224,13 +174,6 @@ def test_what_is_on_record_and_not_in_force_is_sent_again(
     assert next_service.settings_due(3 * S, time.time_ns()) == []
 
 
-def test_what_is_shown_in_force_and_is_not_is_sent_again(
-    interrupted: Interrupted, next_service: CalibrationService
-) -> None:
-    interrupted.runtime.write_json(IN_FORCE, interrupted.filed.standing)
-    assert next_service.settings_due(1 * S, time.time_ns()) == [(Setting.ZERO, (1.5,))]
-
-
 def test_what_the_loop_still_does_not_take_is_withdrawn(
     interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -241,53 +184,6 @@ def test_what_the_loop_still_does_not_take_is_withdrawn(
     assert interrupted.entries() == ["tare", "tare withdrawn"]
     assert in_force(interrupted.runtime).zero_n == 0.0
     assert "withdrawn from the ledger" in capsys.readouterr().err
-
-
-def test_what_the_loop_took_before_its_gateway_died_is_shown_in_force(
-    interrupted: Interrupted, next_service: CalibrationService
-) -> None:
-    interrupted.loop_goes_by(1.5, 1.0)
-    assert next_service.settings_due(1 * S, time.time_ns()) == []
-    next_service.settings_due(2 * S, time.time_ns())
-    assert in_force(interrupted.runtime).zero_n == 1.5
-    assert interrupted.entries() == ["tare"]
-
-
-def test_a_ledger_that_another_program_changed_is_not_put_in_force(
-    interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
-) -> None:
-    interrupted.loop_goes_by(-3.0, 1.0)
-    assert next_service.settings_due(1 * S, time.time_ns()) == []
-    assert next_service.settings_due(5 * S, time.time_ns()) == []
-    assert interrupted.entries() == ["tare"]
-    assert "holds from the daemon's next start" in capsys.readouterr().err
-
-
-def test_a_check_on_record_that_changed_no_figure_of_the_loop_holds_until_its_due_date(
-    service: CalibrationService, settings: RigSettings, tmp_path: pathlib.Path
-) -> None:
-    runtime = Runtime(tmp_path)
-    runtime.write_json(IN_FORCE, Standing(overdue=True))
-    assert filed(service, Request(Verb.CALIBRATE, "kim", 100.0), 100.1).standing is not None
-    service.close()  # its gateway ends with it
-    after = CalibrationService(runtime, settings)
-    assert list(after.settings_due(1 * S, time.time_ns())) == []
-    assert after.settings_due(2 * S, time.time_ns()) == [(Setting.OVERDUE, (0.0,))]
-    assert in_force(runtime).due is not None
-    after.close()
-
-
-def test_a_tare_that_was_withdrawn_and_yet_taken_is_left_to_the_next_start(
-    interrupted: Interrupted, next_service: CalibrationService, capsys: pytest.CaptureFixture[str]
-) -> None:
-    next_service.withdraw(interrupted.filed)
-    next_service.close()
-    interrupted.loop_goes_by(1.5, 1.0)
-    after = CalibrationService(interrupted.runtime, interrupted.settings)
-    assert after.settings_due(1 * S, time.time_ns()) == []
-    after.close()
-    assert interrupted.entries() == ["tare", "tare withdrawn"]
-    assert "holds from the daemon's next start" in capsys.readouterr().err
 
 
 def test_an_answer_that_is_missing_is_looked_for(interrupted: Interrupted, next_service: CalibrationService) -> None:

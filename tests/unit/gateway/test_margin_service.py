@@ -11,12 +11,13 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.margins_section import MarginsSettings
 from rigctl.gateway import margin_service
-from rigctl.gateway.evaluation import EvaluationError
-from rigctl.gateway.margin_service import AGAIN_NS, FIRST_NS, MarginService
+from rigctl.gateway.margin_service import MarginService
 from rigctl.ipc.ledger import Entry
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.unmeasured import Unmeasured
 from rigctl.model.verbs import Setting, SettingOrder
+from rigctl.operations.evaluation import EvaluationError
+from rigctl.operations.margin_windows import AGAIN_NS, FIRST_NS
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 
@@ -69,24 +70,6 @@ def answering(monkeypatch: pytest.MonkeyPatch, *answers: dict[str, Any] | str) -
     monkeypatch.setattr(margin_service, "evaluate", evaluate)
 
 
-def test_each_minute_of_an_excitation_gives_the_loop_its_margins(
-    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    answering(monkeypatch, {"ms": 1.4, "error": 0.02}, {"ms": 1.5, "error": 0.03})
-    service = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append)  # type: ignore[arg-type]
-    assert orders(service) == []
-    excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
-    assert orders(service) == []
-    excited.span = (BEGAN, BEGAN + FIRST_NS)
-    assert orders(service) == [(Setting.MARGINS, (1.4, 0.02))]
-    assert excited.asked == [(BEGAN, BEGAN + FIRST_NS)]
-    excited.span = (BEGAN, BEGAN + FIRST_NS + AGAIN_NS - 1)
-    assert orders(service) == []
-    excited.span = (BEGAN, BEGAN + FIRST_NS + AGAIN_NS)
-    assert orders(service) == [(Setting.MARGINS, (1.5, 0.03))]
-    assert len(excited.asked) == 2
-
-
 def test_what_stops_it_is_said_once(
     excited: Excited,
     recorded: list[Entry],
@@ -105,33 +88,16 @@ def test_what_stops_it_is_said_once(
     assert capsys.readouterr().err == "gateway: margins not measured: too weak\n" * 2
 
 
-def test_a_new_excitation_begins_a_new_window(
-    excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    answering(monkeypatch, {"ms": 1.4, "error": 0.02})
-    service = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append)  # type: ignore[arg-type]
-    excited.span = (BEGAN, BEGAN + FIRST_NS - 1)
-    assert orders(service) == []
-    again = BEGAN + FIRST_NS
-    excited.span = (again, again + FIRST_NS // 2)
-    assert orders(service) == []
-
-
-def test_a_sensitivity_that_is_not_the_designs_is_a_warning_and_on_record_once(
+def test_what_is_found_goes_to_the_loop_and_to_the_ledger(
     excited: Excited, recorded: list[Entry], tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     differs = {"hz": 60.0, "measured": 1.9, "error": 0.02, "low": 1.1, "high": 1.5}
-    window: dict[str, Any] = {"ms": 1.9, "error": 0.02}
-    answering(monkeypatch, window, {**window, "difference": differs}, {**window, "difference": differs}, window)
-    service, now = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append), BEGAN + FIRST_NS  # type: ignore[arg-type]
-    found = []
-    for _ in range(4):
-        excited.span = (BEGAN, now)
-        found.append(orders(service))
-        now += AGAIN_NS
-    figure = SettingOrder(Setting.MARGINS, (1.9, 0.02))
-    assert found == [[figure], [figure, SettingOrder(Setting.DIFFERS, (1.9, 1.5))], [figure], [figure]]
-    assert [(item.what, item.figures["difference"]) for item in recorded] == [("margins", differs), ("margins", None)]
+    answering(monkeypatch, {"ms": 1.9, "error": 0.02, "difference": differs})
+    service = MarginService(Runtime(tmp_path), MEASURED, excited, recorded.append)  # type: ignore[arg-type]
+    excited.span = (BEGAN, BEGAN + FIRST_NS)
+    assert orders(service) == [(Setting.MARGINS, (1.9, 0.02)), (Setting.DIFFERS, (1.9, 1.5))]
+    assert excited.asked == [(BEGAN, BEGAN + FIRST_NS)]
+    assert [item.what for item in recorded] == ["margins"]
 
 
 def test_without_the_section_nothing_is_evaluated(

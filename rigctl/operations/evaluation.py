@@ -1,21 +1,11 @@
-"""``python -m rigctl.gateway.evaluation RUNTIME_DIR WHAT < RECORDS``: evaluates the records of a multisine.
-
-It is a process of its own because the design's libraries load slowly and the gateway must go on publishing. RECORDS are
-columns of `rigctl.gateway.excited_records` in NumPy's format. WHAT is response or margins. It answers one line of JSON:
-what the function of that name returns, or ``{"refused": "why, in one line"}``.
-"""
+"""What the records of a multisine show: the plant's frequency response, and the margins of the loop in force."""
 
 from __future__ import annotations
 
-import io
-import sys
-from collections.abc import Callable
 from typing import Any
 
-import msgspec
 import numpy as np
 import numpy.typing as npt
-from pydantic import ValidationError
 
 from rigctl.commission import measured_margins, response_entry
 from rigctl.commission.frequency_response import ComplexArray, PlantResponse, plant_response, spectra
@@ -25,12 +15,10 @@ from rigctl.commission.motion import Array
 from rigctl.commission.proposal import left_out_in_words
 from rigctl.commission.sensitivity_check import SensitivityDifference, difference
 from rigctl.config.settings import RigSettings
-from rigctl.control.excitation import frequency_trial, margin_probe
-from rigctl.control.excitation.multisine import Multisine
-from rigctl.control.law.estimator import filter_model
-from rigctl.control.law.tension import Gains
-from rigctl.ipc.calculation import calculate
-from rigctl.ipc.runtime_folder import ACTIVE, Runtime
+from rigctl.control import frequency_trial, margin_probe
+from rigctl.control.estimator import filter_model
+from rigctl.control.multisine import Multisine
+from rigctl.control.tension import Gains
 from rigctl.model.states import Mode
 from rigctl.model.unmeasured import Unmeasured
 
@@ -44,20 +32,6 @@ class EvaluationError(ValueError):
     def __init__(self, why: str, reason: int = Unmeasured.OTHER) -> None:
         super().__init__(why)
         self.reason = reason
-
-
-def evaluate(runtime: Runtime, what: str, records: npt.NDArray[Any]) -> dict[str, Any]:
-    """`response` or `margins` of the daemon in this folder, in another process.
-
-    Raises:
-        EvaluationError: see there.
-    """
-    data = io.BytesIO()
-    np.save(data, records, allow_pickle=False)
-    return calculate(
-        runtime, "rigctl.gateway.evaluation", what, data.getvalue(), done=("the records", "evaluated"),
-        refusal=EvaluationError,
-    )  # fmt: skip
 
 
 def response(settings: RigSettings, gains: Gains, records: npt.NDArray[Any]) -> dict[str, Any]:
@@ -162,28 +136,3 @@ def law_response(settings: RigSettings, gains: Gains) -> Controller:
         return per_tension, per_speed
 
     return at
-
-
-_WHAT: dict[str, Callable[[RigSettings, Gains, npt.NDArray[Any]], dict[str, Any]]] = {
-    "response": response, "margins": margins,
-}  # fmt: skip
-
-
-def _evaluate(directory: str, what: str, data: bytes) -> dict[str, Any]:
-    from rigctl.design.gains import DesignError
-
-    runtime = Runtime(directory)
-    try:
-        active = runtime.read_json(ACTIVE)
-        settings, gains = RigSettings.model_validate(active.get("settings")), Gains(**active["design"]["gains"])
-    except (OSError, msgspec.MsgspecError, ValidationError, KeyError, TypeError):
-        return {"refused": "active.json holds no valid settings and gains to evaluate by"}
-    try:
-        return _WHAT[what](settings, gains, np.load(io.BytesIO(data), allow_pickle=False))
-    except (IdentificationError, DesignError, ArithmeticError, ValueError) as error:  # the others: no plant has these
-        reason = error.reason if isinstance(error, IdentificationError) else Unmeasured.OTHER
-        return {"refused": " ".join(str(error).split()), "reason": reason}
-
-
-if __name__ == "__main__":
-    sys.stdout.buffer.write(msgspec.json.encode(_evaluate(sys.argv[1], sys.argv[2], sys.stdin.buffer.read())))

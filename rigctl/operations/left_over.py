@@ -11,16 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
+
+import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.gateway.calibration_findings import creep_order, zero_order
 from rigctl.ipc import ledger
 from rigctl.ipc.correction import creep_text
-from rigctl.ipc.ledger import Entry, Standing, in_force
-from rigctl.ipc.runtime_folder import Runtime
+from rigctl.ipc.ledger import Entry, Standing
 from rigctl.model.events import Kind
 from rigctl.model.loop_event import LoopEvent
 from rigctl.model.verbs import Setting, SettingOrder
+from rigctl.operations.calibration_findings import zero_order
+from rigctl.operations.creep_finding import creep_order
 
 InForce = tuple[float, float, str]
 """Zero in N, scale, and the creep in words; without ``compensation.creep`` the creep is empty."""
@@ -41,11 +44,13 @@ class LeftOver:
         return f"the {self.entry.what} by {self.entry.operator} of {self.entry.when}"
 
 
-def loop_has(settings: RigSettings, runtime: Runtime) -> InForce:
-    """What the loop uses, from its newest CORRECTION and CREEP events; without such events what was last in force."""
-    slots = runtime.events.reader(from_start=True).read()
-    zero_n, scale, creep = _of(settings, in_force(runtime))
-    reported = slots[(slots["kind"] == Kind.CORRECTION) | (slots["kind"] == Kind.CREEP)]
+def loop_has(settings: RigSettings, events: npt.NDArray[Any], last: Standing) -> InForce:
+    """What the loop uses, from its newest CORRECTION and CREEP events; without such events ``last``.
+
+    ``events``: slots of the ring of events, oldest first. ``last``: what was last put in force.
+    """
+    zero_n, scale, creep = _of(settings, last)
+    reported = events[(events["kind"] == Kind.CORRECTION) | (events["kind"] == Kind.CREEP)]
     newest = {event.kind: event.fields for event in LoopEvent.of_slots(reported)}
     if Kind.CORRECTION in newest:
         zero_n, scale = (float(newest[Kind.CORRECTION][name]) for name in ("zero_n", "scale"))

@@ -1,4 +1,4 @@
-"""The gate that judges gains for a running rig, as the gateway asks it."""
+"""Gains for a running rig are judged in a process of its own."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ import pathlib
 
 import pytest
 
-from rigctl.control.excitation import frequency_trial
-from rigctl.design.admission import NotAdmittedError, admit
+from rigctl.control import frequency_trial
+from rigctl.gateway.gains_process import admit
 from rigctl.ipc import calculation
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model.verbs import Verb
+from rigctl.operations.gain_admission import NotAdmittedError
 
 
 def test_a_gate_that_takes_too_long_refuses_in_words(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:

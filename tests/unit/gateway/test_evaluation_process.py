@@ -4,27 +4,25 @@ from __future__ import annotations
 
 import math
 import pathlib
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from rigctl.commission.frequency_response import plant_response
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.excitation import frequency_trial
-from rigctl.control.law.tension import Gains
-from rigctl.gateway.evaluation import EvaluationError, compared, evaluate, law_response
+from rigctl.control import frequency_trial
+from rigctl.gateway.evaluation_process import evaluate
 from rigctl.gateway.excited_records import FIELDS, ExcitedRecords
 from rigctl.ipc.record import RECORD
 from rigctl.ipc.ring import RingWriter
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.model.states import Mode
-from tests.builders.linear_plant import Array, ComplexArray, TruePlant, true_sensitivities
+from rigctl.operations.evaluation import EvaluationError
+from tests.builders.linear_plant import TruePlant
 from tests.builders.paths import ROOT
-from tests.builders.synthetic_response import PLANT, TICK_S, amplitudes
+from tests.builders.synthetic_response import PLANT, TICK_S
 from tests.builders.synthetic_response import records as made_records
 
 PAPER = config.load(ROOT / "config/paper_rig.yaml")
@@ -116,31 +114,3 @@ def test_what_cannot_be_evaluated_is_one_line(runtime: Runtime) -> None:
     still["excitation_mm_s"] = still["command_mm_s"] = 0.0
     with pytest.raises(EvaluationError, match="the records show no excitation"):
         evaluate(runtime, "response", still)
-
-
-USUAL = replace(PLANT, stiffness=PAPER.plant.stiffness_n_mm, damping=PAPER.plant.damping_n_s_mm)
-
-
-@pytest.mark.parametrize(
-    ("plant", "differs"),
-    [
-        (USUAL, False),
-        (replace(USUAL, mechanism=60.0), False),
-        (replace(USUAL, delay=0.012), True),
-        (replace(USUAL, damping=0.05), True),
-    ],
-)
-def test_a_loop_outside_of_the_designs_family_differs_from_it(plant: TruePlant, differs: bool) -> None:
-    """The assumed family holds 2 and 4 ms of delay and any mechanism, but not 12 ms, nor five times a spring's loss."""
-    gains = Gains(**GAINS)
-    acting = law_response(PAPER, gains)
-
-    def loop(hz: Array) -> ComplexArray:
-        per_tension, per_speed = acting(hz)
-        closed = true_sensitivities(plant, per_tension, per_speed, hz)[0]
-        return np.stack([closed, per_tension * closed])
-
-    found = compared(PAPER, gains, plant_response(amplitudes(made_records(plant, sensitivity=loop))))
-    assert (found is not None) == differs
-    if found is not None:
-        assert found.measured - found.error > found.high
