@@ -22,7 +22,6 @@ import msgspec
 from rigctl.config.one_line import on_one_line
 from rigctl.control.excitation.trials import STEP_WAIT_S
 from rigctl.control.modes import FILED, command_slot
-from rigctl.control.trials import STEP_WAIT_S
 from rigctl.gateway.calibration_service import CalibrationService
 from rigctl.gateway.ended_processes import ProcessNote
 from rigctl.gateway.lease_service import LeaseService

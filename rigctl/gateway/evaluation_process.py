@@ -19,7 +19,7 @@ from pydantic import ValidationError
 
 from rigctl.commission.identification import IdentificationError
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.calculation import calculate
 from rigctl.ipc.runtime_folder import ACTIVE, Runtime
 from rigctl.model.unmeasured import Unmeasured

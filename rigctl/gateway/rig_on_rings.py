@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from rigctl.commission.load_record import bins_of
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.gateway.evaluation_process import evaluate
 from rigctl.gateway.excited_records import ExcitedRecords
 from rigctl.gateway.gains_process import admit

@@ -17,8 +17,8 @@ from rigctl.commission import proposal
 from rigctl.commission.cell_uncertainty import drift, scale_u, zero_u_n
 from rigctl.commission.identification import IdentificationError, pairs_of
 from rigctl.config.settings import CalibrationSettings, RigSettings
-from rigctl.control.tension import Gains
-from rigctl.control.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S
+from rigctl.control.excitation.trials import CREEP_LONGEST_S, CREEP_SHORTEST_S
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.correction import SCALE_BOUND, Correction
 from rigctl.ipc.ledger import Entry, Standing, entry
 from rigctl.model.requests import Request

@@ -9,7 +9,7 @@ from dataclasses import replace
 from rigctl.commission import creep as creep_fit
 from rigctl.commission.creep import CreepError, CreepFit, course
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.ipc.correction import CREEP_FASTEST_S, CREEP_TERMS, SCALE_BOUND, CreepTerm
 from rigctl.ipc.ledger import Standing, entry
 from rigctl.model.requests import Request
@@ -20,7 +20,7 @@ MISFIT = 3.0  # residuals over scatter from which a record is said not to be two
 
 
 def creep_order(now: Standing, held_s: float = math.nan) -> SettingOrder:
-    """Puts the creep in force in the loop; ``held_s``: see `rigctl.control.cell_correction.CellCorrection.put`."""
+    """Puts the creep in force in the loop; ``held_s``: see `rigctl.control.bus.cell_correction.CellCorrection.put`."""
     terms = now.creep or (CreepTerm(0.0, CREEP_FASTEST_S),) * CREEP_TERMS
     return SettingOrder(Setting.CREEP, (*(value for term in terms for value in term), held_s))
 

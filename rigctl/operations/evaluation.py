@@ -15,10 +15,10 @@ from rigctl.commission.motion import Array
 from rigctl.commission.proposal import left_out_in_words
 from rigctl.commission.sensitivity_check import SensitivityDifference, difference
 from rigctl.config.settings import RigSettings
-from rigctl.control import frequency_trial, margin_probe
-from rigctl.control.estimator import filter_model
-from rigctl.control.multisine import Multisine
-from rigctl.control.tension import Gains
+from rigctl.control.excitation import frequency_trial, margin_probe
+from rigctl.control.excitation.multisine import Multisine
+from rigctl.control.law.estimator import filter_model
+from rigctl.control.law.tension import Gains
 from rigctl.model.states import Mode
 from rigctl.model.unmeasured import Unmeasured
 

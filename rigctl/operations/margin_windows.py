@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.margin_probe import GROW_S, WINDOW_S
+from rigctl.control.excitation.margin_probe import GROW_S, WINDOW_S
 from rigctl.design.identified import WINDOW
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import Entry

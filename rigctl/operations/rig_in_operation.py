@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.ipc.ledger import Entry, Standing
 
 

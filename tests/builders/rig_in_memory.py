@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.trials import LoadBin
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.ipc.ledger import Entry, Standing
 from rigctl.ipc.record import RECORD
 from rigctl.operations import filing

@@ -11,8 +11,8 @@ from hil.lockstep import Lockstep, lockstep
 from rigctl.commission.load_record import bins_of
 from rigctl.config.compensation_section import CompensationSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
-from rigctl.control.trials import CREEP_BINS
+from rigctl.control.excitation.trials import CREEP_BINS
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.correction import Correction, CreepTerm
 from rigctl.ipc.ledger import Standing
 from rigctl.model.events import Kind

@@ -15,8 +15,8 @@ import pytest
 from hil.lockstep import Lockstep, lockstep
 from rigctl.commission import proposal
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
-from rigctl.control.trials import STEP_N, STRAY_N, UNFELT_N
+from rigctl.control.excitation.trials import STEP_N, STRAY_N, UNFELT_N
+from rigctl.control.law.tension import Gains
 from rigctl.model.faults import Fault
 from rigctl.model.requests import Request
 from rigctl.model.states import Mode

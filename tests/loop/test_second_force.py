@@ -14,7 +14,7 @@ from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc.ledger import Standing
 from rigctl.model.checks import Check
 from rigctl.model.events import Kind

@@ -12,7 +12,7 @@ import pytest
 
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control import frequency_trial
+from rigctl.control.excitation import frequency_trial
 from rigctl.gateway.evaluation_process import evaluate
 from rigctl.gateway.excited_records import FIELDS, ExcitedRecords
 from rigctl.ipc.record import RECORD

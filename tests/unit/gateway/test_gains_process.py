@@ -6,7 +6,7 @@ import pathlib
 
 import pytest
 
-from rigctl.control import frequency_trial
+from rigctl.control.excitation import frequency_trial
 from rigctl.gateway.gains_process import admit
 from rigctl.ipc import calculation
 from rigctl.ipc.runtime_folder import Runtime

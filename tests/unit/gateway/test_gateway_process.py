@@ -20,10 +20,10 @@ from rigctl.client.connection import Client
 from rigctl.config import layout
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
-from rigctl.control.arming import AWAIT_NS, BRAKE_TEST_NS, LONG_TEST_NS
-from rigctl.control.frequency_trial import LONGEST_S
-from rigctl.control.safety import table
-from rigctl.control.trials import AVERAGED_S
+from rigctl.control.excitation.frequency_trial import LONGEST_S
+from rigctl.control.excitation.trials import AVERAGED_S
+from rigctl.control.power.arming import AWAIT_NS, BRAKE_TEST_NS, LONG_TEST_NS
+from rigctl.control.watch.safety import table
 from rigctl.gateway.command_server import ANSWER_NS, WAIT_NS, Giver
 from rigctl.gateway.command_socket import PER_USER, TOO_MANY
 from rigctl.gateway.gateway_process import Gateway

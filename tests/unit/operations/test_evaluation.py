@@ -9,7 +9,7 @@ import pytest
 
 from rigctl.commission.frequency_response import plant_response
 from rigctl.config import rig_file as config
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.operations.evaluation import compared, law_response
 from tests.builders.linear_plant import Array, ComplexArray, TruePlant, true_sensitivities
 from tests.builders.paths import ROOT

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rigctl.config import rig_file as config
-from rigctl.control.tension import Gains
+from rigctl.control.law.tension import Gains
 from rigctl.ipc import ledger
 from rigctl.ipc.ledger import LedgerError, Standing
 from rigctl.ipc.record import RECORD
