@@ -13,6 +13,7 @@ import numpy.typing as npt
 from hil.bus import InProcessBus
 from hil.hub import Hub
 from hil.loop_view import LoopView
+from hil.operated_rig import CommandRefusedError
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.control.bus.hold_sockets import GivenHolds, Hold
@@ -252,6 +253,15 @@ class Lockstep:
         if limit_s is None:
             limit_s = ARM_LIMIT_S if verb is Verb.ARM else LIMIT_S
         return self.answer(self.give(verb, *values, age_ns=age_ns), limit_s, repr(verb))
+
+    def do(self, verb: Verb | Setting, *values: float) -> None:
+        """Give a command that has to be accepted.
+
+        Raises:
+            CommandRefusedError: it was refused.
+        """
+        if (refusal := self.command(verb, *values)) is not Refusal.NONE:
+            raise CommandRefusedError(f"{verb.name} was refused: {refusal.name}")
 
     def answer(self, id_: int, limit_s: float = LIMIT_S, what: str = "a command") -> Refusal:
         """Run until the loop replies to the command ``id_``, or find the reply that has come."""

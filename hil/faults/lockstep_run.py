@@ -21,6 +21,7 @@ from hil.faults.judging.first_sign import cut_at_first_sign
 from hil.faults.rows import arming_phases
 from hil.faults.stand import Stand, Step
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import CommandRefusedError
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.control.clock import SimulatedClock
@@ -276,9 +277,9 @@ def kill(rig: Lockstep) -> None:
 
 def to_tensioning(rig: Lockstep) -> None:
     """Arm and tension a rig whose fault has been there since power-on."""
-    for verb in (Verb.ARM, Verb.TENSION):
-        if rig.command(verb) is not Refusal.NONE:
-            return  # a refusal is a result
+    with contextlib.suppress(CommandRefusedError):  # a refusal is a result
+        rig.do(Verb.ARM)
+        rig.do(Verb.TENSION)
 
 
 def _go_on(rig: Lockstep, seconds: float, step: Step | None) -> npt.NDArray[Any]:

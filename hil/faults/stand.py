@@ -17,13 +17,14 @@ from hil.nodes.node import Node
 from hil.nodes.rail_encoder import RailEncoder
 from hil.nodes.second_force import SecondForceNode
 from hil.nodes.tension_amplifier import TensionAmplifier
+from hil.operated_rig import arm_and_tension
 from hil.plant import Plant
 from hil.rig import SimulatedRig
 from rigctl.config.settings import RigSettings
 from rigctl.devices import objects
 from rigctl.model.parts import Part
 from rigctl.model.states import HeldBy, Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import Verb
 
 WAKE_S = 0.2
 SETTLE_S = 0.6
@@ -41,6 +42,7 @@ TENSION_LIMIT_S = 20.0
 
 _Device = TypeVar("_Device")
 _CLOSED = (Mode.COMPENSATING, Mode.FAULT)
+_RAMPS = {Mode.TENSIONING: (Verb.TENSION, RAMP_S), Mode.RELEASING: (Verb.RELEASE, RELEASE_S)}
 
 Step = Callable[[float], None]
 """Called before every tick with the seconds since the fault began."""
@@ -230,17 +232,15 @@ def enter(rig: Lockstep, mode: Mode) -> None:
     Raises:
         RuntimeError: the rig did not get there.
     """
-    if mode is not Mode.DISARMED:
-        _accepted(rig, Verb.ARM)
+    if mode in _CLOSED:
+        arm_and_tension(rig, armed_s=WAKE_S, limit_s=TENSION_LIMIT_S, settle_s=CLOSED_S)
+    elif mode is not Mode.DISARMED:
+        rig.do(Verb.ARM)
         rig.run(WAKE_S)
-    if mode is Mode.TENSIONING or mode in _CLOSED:
-        _accepted(rig, Verb.TENSION)
-        if mode is not Mode.TENSIONING:
-            rig.run_until(Mode.COMPENSATING, TENSION_LIMIT_S)
-        rig.run(RAMP_S if mode is Mode.TENSIONING else CLOSED_S)
-    if mode is Mode.RELEASING:
-        _accepted(rig, Verb.RELEASE)
-        rig.run(RELEASE_S)
+    if mode in _RAMPS:
+        verb, seconds = _RAMPS[mode]
+        rig.do(verb)
+        rig.run(seconds)
     if mode is Mode.FAULT:
         samples = objects.TPDO1_BASE + rig.settings.tension_cell.node
         rig.hub.tap = lambda _, frame: () if int.from_bytes(frame[:2], "little") == samples else (frame,)
@@ -262,9 +262,3 @@ def park(rig: Lockstep) -> None:
     held_by = HeldBy(int(rig.record["held_by"]))
     if held_by is not HeldBy.BRAKE:
         raise RuntimeError(f"not held by the brake but by {held_by.name}")
-
-
-def _accepted(rig: Lockstep, verb: Verb) -> None:
-    refusal = rig.command(verb)
-    if refusal is not Refusal.NONE:
-        raise RuntimeError(f"{verb.name} was refused: {refusal.name}")

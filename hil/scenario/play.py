@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import CommandRefusedError, arm_and_tension
 from hil.plant import Plant
 from hil.plant.inputs import Track
 from hil.scenario.errors import ScenarioError
@@ -25,7 +26,7 @@ from rigctl.ipc.correction import Correction
 from rigctl.ipc.runtime_folder import RoomError
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import Verb
 
 LOCKED_PERIOD_NS = 1_000_000
 PREPARING = "preparing the plant (compiled once)"
@@ -197,34 +198,32 @@ def bring_to_target(rig: Lockstep, target_n: float, settle_s: float, advance: Ad
     assert simulation is not None  # the rig is simulated
     advance(0.0, "tensioning")
     rig.run(WAKE_S)
-    _command(rig, Verb.ARM)
-    if target_n != tension.target_n:
-        _command(rig, Verb.TARGET, target_n)
-    _command(rig, Verb.TENSION)
     k_n_mm = rig.settings.plant.stiffness_n_mm
     take_up_mm_s = min(tension.speed_max_mm_s, tension.ramp_n_s / k_n_mm)  # slack is taken up at the speed of the ramp
     way_mm = simulation.rope.slack_mm + target_n / k_n_mm
     limit_s = TENSIONING_SPARE_S + target_n / tension.ramp_n_s + way_mm / take_up_mm_s
     waited_s = 0.0
-    while rig.loop.machine.mode is Mode.TENSIONING and waited_s < limit_s:
-        rig.run(WAKE_S)
-        waited_s += WAKE_S
-    advance(0.0, "settling")
-    if rig.loop.machine.mode is Mode.COMPENSATING:
-        rig.run(settle_s)
-    mode, fault = rig.loop.machine.mode, rig.loop.machine.fault
-    if mode is not Mode.COMPENSATING:
-        words = f"{mode.name}, fault {fault.name}, after {waited_s:.1f} s of tensioning"
-        raise ScenarioError([f"{rig.settings.rig}: not COMPENSATING before the run's start but {words}"], exit_code=1)
 
+    def tensioned(wanted: Mode, limit_s: float) -> None:
+        nonlocal waited_s
+        while rig.loop.machine.mode is Mode.TENSIONING and waited_s < limit_s:
+            rig.run(WAKE_S)
+            waited_s += WAKE_S
+        advance(0.0, "settling")
+        check(wanted)
 
-def _command(rig: Lockstep, verb: Verb, value: float = 0.0) -> None:
+    def check(wanted: Mode) -> None:
+        mode, fault = rig.loop.machine.mode, rig.loop.machine.fault
+        if mode is not wanted:
+            words = f"{mode.name}, fault {fault.name}, after {waited_s:.1f} s of tensioning"
+            raise TimeoutError(f"not {wanted.name} before the run's start but {words}")
+
+    given_n = None if target_n == tension.target_n else target_n
     try:
-        refusal = rig.command(verb, value)
-    except TimeoutError as error:
+        arm_and_tension(rig, target_n=given_n, limit_s=limit_s, until=tensioned, settle_s=settle_s)
+        check(Mode.COMPENSATING)
+    except (CommandRefusedError, TimeoutError) as error:
         raise ScenarioError([f"{rig.settings.rig}: {error}"], exit_code=1) from None
-    if refusal is not Refusal.NONE:
-        raise ScenarioError([f"{rig.settings.rig}: {verb.name} was refused: {refusal.name}"], exit_code=1)
 
 
 def _play_loop(

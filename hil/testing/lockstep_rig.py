@@ -17,24 +17,22 @@ from hil.lockstep import Lockstep, lockstep
 from hil.scenario.case import load
 from hil.scenario.play import Played, play
 from hil.scenario.running_disturbances import RunningDisturbances
-from hil.testing.operated_rig import CommandRefusedError, OperatedRig, SimulatedTimeoutError
+from hil.testing.fixture_rig import FixtureRig, RefusedInTestError, SimulatedTimeoutError, mode_of, name_of
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE, Truth
-from rigctl import __version__
 from rigctl.config.settings import RigSettings
+from rigctl.demo.lockstep import recording_of
 from rigctl.design.verdict import Design
-from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
-from rigctl.recorder.continuous import Continuous
 
 WAKE_S = 0.2
 """Until every signal is fresh."""
 POLL_TICKS = 250
 
 
-class LockstepRig(OperatedRig):
+class LockstepRig(FixtureRig):
     """A rig whose clock moves only when the test lets it. The same test gives the same run, bit for bit.
 
     Args:
@@ -53,7 +51,8 @@ class LockstepRig(OperatedRig):
         self._truth: list[Truth] = []
         self._faults: list[StandingFault] = []
         self._disturbances = RunningDisturbances(rig.rig.plant, rig.settings)
-        self._recording = _recording(rig, design, folder, self._start_ns + self._wall_offset_ns)
+        own = _recorded_in(folder, rig.settings)
+        self._recording = recording_of(rig, own, design, self._start_ns + self._wall_offset_ns)
         rig.on_advance = self._each_period
         self.run(WAKE_S)
 
@@ -86,29 +85,29 @@ class LockstepRig(OperatedRig):
 
     # -- what is done with it ---------------------------------------------------------------------------------
 
-    def command(self, verb: str, *values: float) -> str:
+    def command(self, verb: str | Verb, *values: float) -> str:
         """Give a command as ``rigctl VERB`` does; returns why it was refused, NONE if it was not.
 
         Raises:
             ValueError: there is no such command.
             SimulatedTimeoutError: the test has no time left.
         """
-        names = [one.name.lower() for one in Verb]
-        if verb not in names:
-            raise ValueError(f"found command {verb!r}, expected {', '.join(names)}")
+        names, name = [one.name.lower() for one in Verb], name_of(verb)
+        if name not in names:
+            raise ValueError(f"found command {name!r}, expected {', '.join(names)}")
         self._check(0.0)
-        if verb == "hold":
+        if name == "hold":
             return self.lockstep.hold().name
-        return Refusal(self.lockstep.command(Verb[verb.upper()], *values)).name
+        return Refusal(self.lockstep.command(Verb[name.upper()], *values)).name
 
-    def do(self, verb: str, *values: float) -> None:
+    def do(self, verb: str | Verb, *values: float) -> None:
         """Give a command that has to be accepted.
 
         Raises:
-            CommandRefusedError: it was refused.
+            RefusedInTestError: it was refused.
         """
         if (refusal := self.command(verb, *values)) != Refusal.NONE.name:
-            raise CommandRefusedError(f"{verb} was refused in {self.mode}: {refusal}")
+            raise RefusedInTestError(f"{name_of(verb)} was refused in {self.mode}: {refusal}")
 
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.
@@ -145,19 +144,19 @@ class LockstepRig(OperatedRig):
             self.lockstep.tick()
         return self._since(start_ns)
 
-    def run_until(self, mode: str, limit_s: float = 60.0) -> RunStretch:
+    def run_until(self, mode: str | Mode, limit_s: float = 60.0) -> RunStretch:
         """Let simulated time pass until the loop is in ``mode``; returns that stretch.
 
         Raises:
             SimulatedTimeoutError: it did not get there within ``limit_s``, or the test has no time left.
         """
-        wanted, start_ns = Mode[mode], self.lockstep.clock.now()
+        wanted, start_ns = mode_of(mode), self.lockstep.clock.now()
         left_s = min(limit_s, self._limit_s - self.time_s)
         for _ in range(round(left_s * self.settings.loop.rate_hz)):
             if self.lockstep.loop.machine.mode is wanted:
                 return self._since(start_ns)
             self.lockstep.tick()
-        raise SimulatedTimeoutError(f"not in {mode} within {left_s:g} s of simulated time, but in {self.mode}")
+        raise SimulatedTimeoutError(f"not in {wanted.name} within {left_s:g} s of simulated time, but in {self.mode}")
 
     # -- what stays of it -------------------------------------------------------------------------------------
 
@@ -226,16 +225,8 @@ def lockstep_rig(settings: RigSettings, design: Design, limit_s: float, folder: 
         yield LockstepRig(rig, design, limit_s, folder)
 
 
-def _recording(rig: Lockstep, design: Design, folder: pathlib.Path, wall_ns: int) -> Continuous:
-    """A recording as the daemon's recorder makes it, of which a test without a failure keeps nothing."""
-    settings = rig.settings
+def _recorded_in(folder: pathlib.Path, settings: RigSettings) -> RigSettings:
+    """The rig with a recording in a folder of its own, of which a test without a failure keeps nothing."""
     recording = settings.recording.model_copy(update={"folder": str(folder), "enabled": True})
     audit = settings.audit.model_copy(update={"file": str(folder / "audit.jsonl"), "trips": str(folder / "trips")})
-    own = settings.model_copy(update={"recording": recording, "audit": audit})
-    active = {
-        "settings": own.model_dump(mode="json"), "version": __version__, "started_wall_ns": wall_ns,
-        "design": design.as_dict(),
-    }  # fmt: skip
-    rig.runtime.write_json(ACTIVE, active)
-    rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": 0})
-    return Continuous(rig.runtime, own, wall_ns, wall_ns)
+    return settings.model_copy(update={"recording": recording, "audit": audit})

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 
 from hil.faults import served
-from hil.testing.operated_rig import CommandRefusedError, OperatedRig, SimulatedTimeoutError
+from hil.testing.fixture_rig import FixtureRig, RefusedInTestError, SimulatedTimeoutError, mode_of, name_of
 from hil.testing.stretch import RunStretch
 from hil.truth import TRUTH_DTYPE
 from hil.truth import read as read_truth
 from rigctl.config.settings import RigSettings
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
-from rigctl.ipc.runtime_folder import Runtime
+from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
 from rigctl.recorder import recording
 
@@ -28,7 +28,7 @@ PAUSE_S = 0.02
 TRUTH = "truth.bin"
 
 
-class RealTimeRig(OperatedRig):
+class RealTimeRig(FixtureRig):
     """A daemon of its own, with a rig name, an endpoint and files of its own, on a served rig.
 
     Args:
@@ -41,7 +41,6 @@ class RealTimeRig(OperatedRig):
         self.live, self.settings = live, live.settings
         self._limit_s, self._folder = limit_s, folder
         self._start_ns = time.monotonic_ns()
-        self._reader = Runtime.of(live.settings.rig).records.reader()
         self._target_n = live.settings.tension.target_n
 
     @property
@@ -63,20 +62,20 @@ class RealTimeRig(OperatedRig):
         """The daemon's state, as ``rigctl status --json``."""
         return self.live.state()
 
-    def do(self, verb: str, value: float | None = None) -> None:
+    def do(self, verb: str | Verb, *values: float) -> None:
         """Give a command that has to be accepted.
 
         Raises:
-            CommandRefusedError: it was refused, or the daemon does not answer.
+            RefusedInTestError: it was refused, or the daemon does not answer.
             SimulatedTimeoutError: the test has no time left.
         """
         self._check(0.0)
         try:
-            self.live.command(Verb[verb.upper()], OPERATOR, value)
+            self.live.do(given := Verb[name_of(verb).upper()], *values)
         except LiveRigError as error:
-            raise CommandRefusedError(str(error)) from None
-        if verb == "target" and value is not None:
-            self._target_n = value
+            raise RefusedInTestError(str(error)) from None
+        if given is Verb.TARGET and values:
+            (self._target_n,) = values
 
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.
@@ -111,14 +110,11 @@ class RealTimeRig(OperatedRig):
             SimulatedTimeoutError: the test has no time left.
         """
         self._check(seconds)
-        self._reader.read()
-        start_ns, parts = time.monotonic_ns(), []
-        while (left_s := seconds - (time.monotonic_ns() - start_ns) * 1e-9) > 0.0:
-            time.sleep(min(left_s, 1.0))
-            parts.append(self._reader.read())
-        return RunStretch(self.settings, start_ns, self._target_n, np.concatenate(parts), np.empty(0, TRUTH_DTYPE))
+        start_ns = time.monotonic_ns()
+        records = self.live.run(seconds)
+        return RunStretch(self.settings, start_ns, self._target_n, records, np.empty(0, TRUTH_DTYPE))
 
-    def run_until(self, mode: str, limit_s: float = 60.0) -> None:
+    def run_until(self, mode: str | Mode, limit_s: float = 60.0) -> None:
         """Wait until the loop is in ``mode``.
 
         Raises:
@@ -126,9 +122,9 @@ class RealTimeRig(OperatedRig):
         """
         left_s = min(limit_s, self._limit_s - self.time_s)
         until = time.monotonic() + left_s
-        while (now := self.mode) != mode:
+        while (now := self.mode) != (wanted := mode_of(mode).name):
             if time.monotonic() > until:
-                raise SimulatedTimeoutError(f"not in {mode} within {max(left_s, 0.0):.4g} s, but in {now}")
+                raise SimulatedTimeoutError(f"not in {wanted} within {max(left_s, 0.0):.4g} s, but in {now}")
             time.sleep(PAUSE_S)
 
     # -- what stays of it -------------------------------------------------------------------------------------
@@ -166,5 +162,5 @@ def real_time_rig(settings: RigSettings, limit_s: float) -> Iterator[RealTimeRig
     with tempfile.TemporaryDirectory(prefix="hil-", dir="/tmp") as name:
         folder = pathlib.Path(name)
         truth = ("--truth", str(folder / TRUTH))
-        with start_live_rig(own(settings, "test"), folder, *truth, quiet=True) as live:
+        with start_live_rig(own(settings, "test"), folder, OPERATOR, *truth, quiet=True) as live:
             yield RealTimeRig(live, limit_s, folder)

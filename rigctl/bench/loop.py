@@ -5,20 +5,18 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hil.operated_rig import arm_and_tension
 from rigctl.bench import cyclictest
 from rigctl.config.settings import RigSettings
 from rigctl.demo.live_rig import LiveRig, LiveRigError, own, start_live_rig
-from rigctl.ipc.runtime_folder import Runtime
 from rigctl.metrics import tension_error as metrics
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Verb
 
 OPERATOR = "bench"
 ROUNDS = 3
@@ -28,7 +26,6 @@ TENSIONED_LIMIT_S = 60.0
 INCLINOMETER_HZ = 100
 """Used at other rates than the rig's own: it divides every usual rate."""
 _WAIVER = "bench: the loop's timing is measured, nothing hangs there"
-_LOOK_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -100,9 +97,9 @@ def measure(settings: RigSettings, rate_hz: int, seconds: float, advance: Callab
 def _loop(settings: RigSettings, rate_hz: int, seconds: float) -> Any:
     with contextlib.ExitStack() as stack:
         folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="rigctl-bench-")))
-        live_rig = stack.enter_context(start_live_rig(bench_settings(settings, rate_hz), folder, quiet=True))
+        live_rig = stack.enter_context(start_live_rig(bench_settings(settings, rate_hz), folder, OPERATOR, quiet=True))
         tension(live_rig)
-        return records_of(live_rig.settings.rig, seconds)
+        return live_rig.run(seconds)
 
 
 def tension(live_rig: LiveRig) -> None:
@@ -111,30 +108,11 @@ def tension(live_rig: LiveRig) -> None:
     Raises:
         LiveRigError: the rig did not get there.
     """
-    live_rig.command(Verb.ARM, OPERATOR)
-    live_rig.command(Verb.TARGET, OPERATOR, TARGET_N)
-    answer = live_rig.command(Verb.TENSION, OPERATOR)
-    until = time.monotonic() + TENSIONED_LIMIT_S
-    mode = Mode.TENSIONING.name
-    while mode == Mode.TENSIONING.name and time.monotonic() < until:
-        time.sleep(_LOOK_S)
+    try:
+        arm_and_tension(live_rig, target_n=TARGET_N, limit_s=TENSIONED_LIMIT_S)
+    except TimeoutError:
         state = live_rig.state()
-        if state.get("t_ns", 0) >= answer["t_ns"]:  # ignores states from before the command
-            mode = str(state.get("mode"))
-    if mode != Mode.COMPENSATING.name:
-        raise LiveRigError(f"tensioning ended in {mode}: {state.get('fault_text') or 'not in time'}")
-
-
-def records_of(rig: str, seconds: float) -> Any:
-    """Records of the next ``seconds`` of a running loop, shape (ticks,), of dtype `rigctl.ipc.record.RECORD`."""
-    reader = Runtime.of(rig).records.reader()
-    reader.read()
-    slices = []
-    until = time.monotonic() + seconds
-    while (left := until - time.monotonic()) > 0:
-        time.sleep(min(1.0, left))
-        slices.append(reader.read())
-    return np.concatenate(slices)
+        raise LiveRigError(f"tensioning ended in {state['mode']}: {state.get('fault_text') or 'not in time'}") from None
 
 
 def figures(slices: list[Any]) -> dict[str, Any]:

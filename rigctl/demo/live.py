@@ -21,7 +21,7 @@ from hil import truth as truth_log
 from rigctl.client.connection import NoDaemonError
 from rigctl.config.settings import DemoSettings, RigSettings
 from rigctl.demo.live_rig import STOP_LIMIT_S, LiveRig, LiveRigError, process, start_live_rig
-from rigctl.demo.script import DemoError, Moment, PausedError, Show, play
+from rigctl.demo.script import DemoError, Moment, PausedError, Show, Stage, play
 from rigctl.demo.simulator_node import SimulatorNode
 from rigctl.demo.summary import Summary, Telemetry, summarise
 from rigctl.ipc.ring import RingReader
@@ -36,7 +36,7 @@ STATE_LIMIT_S = 2.0
 PAUSE_TICKS = 10  # missed by the loop, or without a sample: a computer with time for both processes has never as many
 
 
-class LiveStage:
+class LiveStage(Stage):
     """`Stage` on real processes: commands over Zenoh, the move by SDO to the simulator's own node."""
 
     def __init__(self, live_rig: LiveRig, records: RingReader, simulator: SimulatorNode) -> None:
@@ -50,9 +50,9 @@ class LiveStage:
         self._renew_ns = 0  # 0: no command has been given yet
         self.records: list[npt.NDArray[Any]] = []
 
-    def command(self, verb: Verb) -> None:
+    def do(self, verb: Verb, *values: float) -> None:
         """See `Stage`."""
-        self._accepted(self._live_rig.command(verb, OPERATOR))
+        self._accepted(self._live_rig.do(verb, *values))
 
     def _accepted(self, answer: dict[str, Any]) -> None:
         if not answer["accepted"]:
@@ -127,7 +127,8 @@ def play_live(settings: RigSettings, demo: DemoSettings, show: Show) -> Summary:
     with tempfile.TemporaryDirectory(prefix="rigctl-demo-") as folder, contextlib.ExitStack() as stack:
         truth_file = pathlib.Path(folder) / "truth"
         try:
-            live_rig = stack.enter_context(start_live_rig(settings, pathlib.Path(folder), "--truth", str(truth_file)))
+            options = OPERATOR, "--truth", str(truth_file)
+            live_rig = stack.enter_context(start_live_rig(settings, pathlib.Path(folder), *options))
             where = ("--connect", settings.telemetry.listen, "--rig", settings.rig)
             counter = stack.enter_context(process("rigctl.client.counter", *where, stdout=subprocess.PIPE))
             records = Runtime.of(settings.rig).records.reader(from_start=True)

@@ -19,6 +19,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import msgspec
+import numpy as np
+import numpy.typing as npt
 import yaml
 
 from rigctl.client.connection import Client, NoDaemonError
@@ -32,22 +34,27 @@ STOP_LIMIT_S = 10.0
 ARM_NS, ARM_AGAIN_S = 3_000_000_000, 0.1
 LONGEST_NAME = 32
 _POLL_S = 0.02
+_LOOK_S = 0.5
 
 
 class LiveRigError(RuntimeError):
     """A process did not start or answer, or a command was refused; ``str()`` is one line."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class LiveRig:
     """The running processes, and the connection to the daemon."""
 
     settings: RigSettings
     client: Client
+    operator: str
+    """Who gives the commands."""
     rig: subprocess.Popen[bytes]
     daemon: subprocess.Popen[bytes]
+    _given_ns: int = 0
+    """When the loop answered the last command, CLOCK_MONOTONIC."""
 
-    def command(self, verb: Verb, operator: str, value: float | None = None) -> dict[str, Any]:
+    def do(self, verb: Verb, *values: float) -> dict[str, Any]:
         """Give a command; returns its answer. It is repeated until a new daemon has samples of every device.
 
         Raises:
@@ -56,7 +63,7 @@ class LiveRig:
         until_ns = time.monotonic_ns() + ARM_NS
         while True:
             try:
-                answer = self.client.command(verb.name.lower(), operator, value)
+                answer = self.client.command(verb.name.lower(), self.operator, *values)
             except NoDaemonError as error:
                 raise LiveRigError(str(error)) from None
             if answer.get("reason") != "preflight" or time.monotonic_ns() > until_ns:
@@ -64,7 +71,33 @@ class LiveRig:
             time.sleep(ARM_AGAIN_S)
         if not answer["accepted"]:
             raise LiveRigError(answer["text"])
+        self._given_ns = answer.get("t_ns", 0)
         return answer
+
+    def run(self, seconds: float) -> npt.NDArray[Any]:
+        """Let time pass; returns the loop's records of it, one a tick, of dtype `rigctl.ipc.record.RECORD`."""
+        reader = Runtime.of(self.settings.rig).records.reader()
+        until, parts = time.monotonic() + seconds, [reader.read()]
+        while (left_s := until - time.monotonic()) > 0.0:
+            time.sleep(min(left_s, 1.0))
+            parts.append(reader.read())
+        return np.concatenate(parts)
+
+    def run_until(self, mode: Mode, limit_s: float) -> None:
+        """Wait until the loop is in ``mode``; states from before the last command do not count.
+
+        Raises:
+            LiveRigError: the daemon did not answer.
+            TimeoutError: the loop is in another mode after ``limit_s``, or has tripped.
+        """
+        until, found = time.monotonic() + limit_s, ""
+        while found != mode.name:
+            if found == Mode.FAULT.name or time.monotonic() > until:
+                raise TimeoutError(f"not in {mode.name} within {limit_s:g} s, but in {found}")
+            time.sleep(_LOOK_S)
+            state = self.state()
+            if state.get("t_ns", 0) >= self._given_ns:
+                found = str(state.get("mode"))
 
     def end(self) -> None:
         """End daemon, then simulated rig, which has closed its truth log when this returns.
@@ -131,13 +164,14 @@ def free_endpoint() -> str:
 
 @contextlib.contextmanager
 def start_live_rig(
-    settings: RigSettings, folder: pathlib.Path, *options: str, quiet: bool = False
+    settings: RigSettings, folder: pathlib.Path, operator: str, *options: str, quiet: bool = False
 ) -> Iterator[LiveRig]:
     """Run daemon and simulated rig until the block ends; the block begins once the daemon is DISARMED.
 
     Args:
         settings: those to run with, see `own`; the bus is replaced by a socket in ``folder``.
         folder: folder for rig file and bus socket.
+        operator: who gives the commands.
         options: further options of ``python -m hil serve``.
         quiet: hide the daemon's log, but not its errors.
 
@@ -153,7 +187,7 @@ def start_live_rig(
         rig.stdout.readline()  # returns when the rig serves or has ended
         daemon = stack.enter_context(process("rigctl", "run", file, stdout=subprocess.DEVNULL if quiet else None))
         client = stack.enter_context(_connect(daemon, rig, settings))
-        yield LiveRig(settings, client, rig, daemon)
+        yield LiveRig(settings, client, operator, rig, daemon)
 
 
 @contextlib.contextmanager

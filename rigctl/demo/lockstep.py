@@ -14,17 +14,18 @@ from hil.lockstep import START_NS, Lockstep, lockstep
 from hil.truth import TRUTH_DTYPE
 from rigctl import __version__
 from rigctl.config.settings import DemoSettings, RigSettings
-from rigctl.demo.script import DemoError, Moment, Show, play
+from rigctl.demo.script import DemoError, Moment, Show, Stage, play
 from rigctl.demo.summary import Summary, summarise
 from rigctl.design.gains import DesignError
 from rigctl.design.in_use import adopted, design_in_use
+from rigctl.design.verdict import Design
 from rigctl.ipc.runtime_folder import ACTIVE
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 
 
-class LockstepStage:
+class LockstepStage(Stage):
     """`Stage` on a `Lockstep`; keeps every record and the plant's truth at every tick."""
 
     def __init__(self, rig: Lockstep, recording: Continuous | None = None) -> None:
@@ -38,9 +39,9 @@ class LockstepStage:
         """Truth at every tick, ``TRUTH_DTYPE``."""
         return np.array(self._truth, TRUTH_DTYPE)
 
-    def command(self, verb: Verb) -> None:
+    def do(self, verb: Verb, *values: float) -> None:
         """See `Stage`."""
-        refusal = self._rig.command(verb)
+        refusal = self._rig.command(verb, *values)
         if refusal is not Refusal.NONE:
             raise DemoError(f"{verb.name.lower()} was refused: {refusal.name}")
 
@@ -109,21 +110,21 @@ def play_lockstep(settings: RigSettings, demo: DemoSettings, show: Show) -> Summ
     if not design.accepted:
         raise DemoError(design.verdict())
     with lockstep(believed, design.gains, built=settings, history_s=settings.telemetry.history_s) as rig:
-        stage = LockstepStage(rig, _recorded(rig, design.as_dict()) if settings.recording.enabled else None)
+        recorded = settings.recording.enabled
+        stage = LockstepStage(rig, recording_of(rig, rig.settings, design, time.time_ns()) if recorded else None)
         stage.pass_time(0.2)
         play(stage, demo, show)
         return summarise(np.concatenate(stage.records), stage.truth, None, demo, stage.end_recording())
 
 
-def _recorded(rig: Lockstep, design: dict[str, Any]) -> Continuous:
-    """A recording of the rig as a daemon's recorder makes it."""
-    wall_ns = time.time_ns()
+def recording_of(rig: Lockstep, settings: RigSettings, design: Design, wall_ns: int) -> Continuous:
+    """A recording as the daemon's recorder makes it; ``settings``: with its folder, ``wall_ns``: of its begin."""
     active = {
-        "settings": rig.settings.model_dump(mode="json"),
+        "settings": settings.model_dump(mode="json"),
         "version": __version__,
         "started_wall_ns": wall_ns,
-        "design": design,
+        "design": design.as_dict(),
     }
     rig.runtime.write_json(ACTIVE, active)
     rig.runtime.write_json("control.json", {**rig.report.as_json(), "host_checks": 0})
-    return Continuous(rig.runtime, rig.settings, wall_ns, wall_ns)
+    return Continuous(rig.runtime, settings, wall_ns, wall_ns)

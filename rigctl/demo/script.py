@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
+from hil.operated_rig import OperatedRig, arm_and_tension
 from rigctl.config.settings import DemoSettings
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Verb
@@ -38,23 +39,57 @@ class Moment:
 Show = Callable[[Moment, str], None]
 
 
-class Stage(Protocol):
-    """The rig of the script: real processes, or lockstep."""
+class Stage(OperatedRig):
+    """The rig of the script: real processes, or lockstep. A moment of each second that it runs is shown."""
 
-    def command(self, verb: Verb) -> None:
+    show: Show
+    step = "tensioning"
+    """What the script does, in words."""
+
+    @abstractmethod
+    def do(self, verb: Verb, *values: float) -> None:
         """Give a command; raises `DemoError` if it is refused."""
 
+    @abstractmethod
     def start_move(self) -> None:
         """Start the mechanism's move."""
 
+    @abstractmethod
     def moving(self) -> bool:
         """Whether the mechanism moves."""
 
+    @abstractmethod
     def moment(self) -> Moment:
         """The present values."""
 
+    @abstractmethod
     def pass_time(self, seconds: float) -> None:
-        """Let time pass."""
+        """Let time pass; nothing is shown."""
+
+    def run(self, seconds: float) -> None:
+        """Let time pass; raises as `until`."""
+        end = self.moment().t_s + seconds
+        self.until(lambda: self.moment().t_s >= end - 0.5, seconds + 5)
+
+    def run_until(self, mode: Mode, limit_s: float) -> None:
+        """Let time pass until the loop is in ``mode``; raises as `until`."""
+        self.until(lambda: self.moment().mode is mode, limit_s)
+
+    def until(self, done: Callable[[], bool], limit_s: float) -> None:
+        """Let time pass until something is done.
+
+        Raises:
+            DemoError: the rig tripped, or the step took too long.
+        """
+        for _ in range(round(limit_s)):
+            if done():
+                return
+            self.pass_time(1.0)
+            moment = self.moment()
+            self.show(moment, self.step)
+            if moment.mode is Mode.FAULT:
+                raise DemoError(f"the rig tripped while {self.step}")
+        raise DemoError(f"{self.step} took longer than {limit_s:.0f} s")
 
 
 def play(stage: Stage, demo: DemoSettings, show: Show) -> None:
@@ -63,31 +98,18 @@ def play(stage: Stage, demo: DemoSettings, show: Show) -> None:
     Raises:
         DemoError: a command was refused, the rig tripped, or a step took too long.
     """
-
-    def until(done: Callable[[], bool], limit_s: float, step: str) -> None:
-        for _ in range(round(limit_s)):
-            if done():
-                return
-            stage.pass_time(1.0)
-            moment = stage.moment()
-            show(moment, step)
-            if moment.mode is Mode.FAULT:
-                raise DemoError(f"the rig tripped while {step}")
-        raise DemoError(f"{step} took longer than {limit_s:.0f} s")
-
-    def wait(seconds: float, step: str) -> None:
-        end = stage.moment().t_s + seconds
-        until(lambda: stage.moment().t_s >= end - 0.5, seconds + 5, step)
-
-    stage.command(Verb.ARM)
-    stage.command(Verb.TENSION)
-    until(lambda: stage.moment().mode is Mode.COMPENSATING, 60, "tensioning")
-    wait(SETTLE_S, "settling")
+    stage.show = show
+    arm_and_tension(stage, limit_s=60)
+    stage.step = "settling"
+    stage.run(SETTLE_S)
+    stage.step = f"moving {demo.angle_deg:g} deg out and back"
     stage.start_move()
     one_way = demo.angle_deg / demo.speed_deg_s + demo.speed_deg_s / demo.acceleration_deg_s2
-    until(lambda: not stage.moving(), 2 * one_way + 20, f"moving {demo.angle_deg:g} deg out and back")
-    wait(REST_S, "resting")
-    stage.command(Verb.RELEASE)
-    until(lambda: stage.moment().mode is Mode.HOLD, 60, "releasing")
-    stage.command(Verb.DISARM)
+    stage.until(lambda: not stage.moving(), 2 * one_way + 20)
+    stage.step = "resting"
+    stage.run(REST_S)
+    stage.step = "releasing"
+    stage.do(Verb.RELEASE)
+    stage.run_until(Mode.HOLD, 60)
+    stage.do(Verb.DISARM)
     stage.pass_time(0.5)

@@ -21,8 +21,9 @@ import numpy as np
 from rich.console import Console
 
 from rigctl.bench.loop import figures
+from rigctl.demo.live_rig import LiveRig
 from rigctl.metrics import tension_error as metrics
-from tests.bench.loop import BenchRig
+from tests.bench.loop import bench_rig
 from tests.bench.telemetry import RATE_HZ, SETTLE_S, add_rounds, clients_cpus, cpu_of
 from tests.builders.paths import ROOT
 
@@ -44,11 +45,11 @@ def _told(process: subprocess.Popen[str]) -> dict[str, int]:
     return dict(json.loads(process.stdout.readline()))
 
 
-def measure_served(rig: BenchRig, seconds: float, clients: int, cpus: set[int]) -> tuple[Any, dict[str, Any]]:
+def measure_served(rig: LiveRig, seconds: float, clients: int, cpus: set[int]) -> tuple[Any, dict[str, Any]]:
     """Records of the loop while the bridge serves this many clients, the last of them stalled; what they counted."""
     with contextlib.ExitStack() as stack:
         words = ["rigctl", "bridge", "foxglove", "--listen", "127.0.0.1:0", "--rate", str(RATE_HZ)]
-        bridge, line = _started([*words, "--connect", rig.endpoint], stack)
+        bridge, line = _started([*words, "--connect", rig.settings.telemetry.listen], stack)
         found = re.search(r"ws://127\.0\.0\.1:(\d+)", line)
         assert found, line
         started = [_started(["tests.bench.bridge_client", found[1]], stack)[0] for _ in range(clients)]
@@ -60,7 +61,7 @@ def measure_served(rig: BenchRig, seconds: float, clients: int, cpus: set[int]) 
         for process in healthy:
             process.send_signal(signal.SIGUSR1)
         used, start = cpu_of(bridge.pid), time.monotonic()
-        records = rig.measure(seconds)
+        records = rig.run(seconds)
         pct = 100.0 * (cpu_of(bridge.pid) - used) / (time.monotonic() - start)
         said = [_told(process) for process in healthy]
         stalled.send_signal(signal.SIGCONT)
@@ -82,13 +83,13 @@ def main(words: list[str]) -> int:
     cpus = clients_cpus(arguments.apart)
     alone, served, said = [], [], []
     with contextlib.ExitStack() as stack:
-        rig = BenchRig(RATE_HZ, stack)
+        rig = bench_rig(RATE_HZ, stack)
         for number in range(arguments.rounds):
-            alone.append(rig.measure(seconds / 2))
+            alone.append(rig.run(seconds / 2))
             records, counted = measure_served(rig, seconds, arguments.clients, cpus)
             served.append(records)
             said.append(counted)
-            alone.append(rig.measure(seconds / 2))
+            alone.append(rig.run(seconds / 2))
             print(f"round {number + 1} of {arguments.rounds}", file=sys.stderr)
     result: dict[str, Any] = {"alone": figures(alone), "served": figures(served), "clients": said}
     before, after = (

@@ -25,8 +25,9 @@ from rich.table import Table
 
 from rigctl.bench.loop import figures
 from rigctl.config import rig_file as config
+from rigctl.demo.live_rig import LiveRig
 from rigctl.metrics import tension_error as metrics
-from tests.bench.loop import BenchRig
+from tests.bench.loop import bench_rig
 from tests.bench.subscriber import BIN_US, BINS
 from tests.builders import daemons
 from tests.builders.paths import ROOT
@@ -104,14 +105,14 @@ def cpu_of(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def measure_slice(rig: BenchRig, what: str, seconds: float, clients: int, stalled: int, cpus: set[int]) -> Slice:
+def measure_slice(rig: LiveRig, what: str, seconds: float, clients: int, stalled: int, cpus: set[int]) -> Slice:
     """Record ``seconds`` of the loop while this many clients listen, on these processors."""
     with contextlib.ExitStack() as stack:
-        subscribers = Subscribers(rig.endpoint, clients, stalled, cpus, stack) if clients else None
+        subscribers = Subscribers(rig.settings.telemetry.listen, clients, stalled, cpus, stack) if clients else None
         time.sleep(SETTLE_S)
-        gateway = daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{rig.rig}")
+        gateway = daemons.process_with("rigctl.gateway.gateway_process", f"rigctl-{rig.settings.rig}")
         used, start = cpu_of(gateway), time.monotonic()
-        records = rig.measure(seconds)
+        records = rig.run(seconds)
         pct = 100.0 * (cpu_of(gateway) - used) / (time.monotonic() - start)
         return Slice(what, records, pct, subscribers.end() if subscribers is not None else None)
 
@@ -204,7 +205,7 @@ def main(words: list[str]) -> int:
     cpus = clients_cpus(arguments.apart)
     slices = []
     with contextlib.ExitStack() as stack:
-        rig = BenchRig(RATE_HZ, stack)
+        rig = bench_rig(RATE_HZ, stack)
         for number in range(arguments.rounds):
             for what, length, clients, stalled in plan:
                 slices.append(measure_slice(rig, what, length, clients, stalled, cpus))
