@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.model.states import Mode
@@ -53,12 +54,11 @@ def tensioned(
         if preload:
             rig.rig.plant.preload(tension_n)
         rig.run(0.3)
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        rig.run(SETTLE_S)
         if mode is Mode.COMPENSATING:
-            assert rig.command(Verb.TENSION) is Refusal.NONE
-            rig.run_until(Mode.COMPENSATING, 30.0)
-            rig.run(3.0)
+            arm_and_tension(rig, armed_s=SETTLE_S, limit_s=30.0, settle_s=3.0)
+        else:
+            rig.do(Verb.ARM)
+            rig.run(SETTLE_S)
         yield rig
 
 

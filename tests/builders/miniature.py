@@ -103,6 +103,13 @@ class Daemon:
         until(self._reachable, f"the gateway at {self.endpoint}")
         return Client(self.endpoint, self.settings.rig)
 
+    def compensating(self) -> Client:
+        """A client of anna, who has tensioned the rig."""
+        client = self.client()
+        assert client.command("arm", "anna")["accepted"]
+        assert client.command("tension", "anna")["accepted"]
+        return client
+
     def rig(self) -> Rig:
         return connect(self.endpoint, self.settings.rig, timeout_s=patience_s())
 

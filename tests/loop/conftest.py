@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
+from rigctl.model.verbs import Verb
 from tests.builders.branches import Started, pytest_pyfunc_call
 from tests.builders.paths import ROOT
 
@@ -82,16 +83,14 @@ def enter(rig: Lockstep) -> Callable[[Mode], None]:
 
 def entered(rig: Lockstep, mode: Mode) -> None:
     """Take a rig to a mode as an operator does."""
-    if mode is Mode.DISARMED:
-        return
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    if mode in (Mode.TENSIONING, Mode.COMPENSATING, Mode.RELEASING):
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run(2.0)
     if mode in (Mode.COMPENSATING, Mode.RELEASING):
-        rig.run_until(Mode.COMPENSATING, 10.0)
-        rig.run(0.5)
+        arm_and_tension(rig, limit_s=12.0, settle_s=0.5)
+    elif mode is not Mode.DISARMED:
+        rig.do(Verb.ARM)
+    if mode is Mode.TENSIONING:
+        rig.do(Verb.TENSION)
+        rig.run(2.0)
     if mode is Mode.RELEASING:
-        assert rig.command(Verb.RELEASE) is Refusal.NONE
+        rig.do(Verb.RELEASE)
         rig.run(1.0)
     assert rig.loop.machine.mode is mode

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
@@ -16,7 +17,6 @@ from rigctl.demo.summary import Summary
 from rigctl.devices import objects as od
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.recording import parts_of, read
 from rigctl.replay.compare import first_difference
 from rigctl.replay.play import play, spans
@@ -63,10 +63,7 @@ def stock(gains: Gains) -> Iterator[Lockstep]:
     """COMPENSATING with a stock drive, which sends its speed in a frame of its own."""
     with lockstep(with_set("stock_drive"), gains) as rig:
         rig.run(0.2)
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 20.0)
-        rig.run(0.5)
+        arm_and_tension(rig, limit_s=20.0, settle_s=0.5)
         yield rig
 
 

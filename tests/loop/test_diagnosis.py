@@ -13,6 +13,7 @@ from hil.faults.judging.naming import Naming, RecordedRow, culprit, named, recor
 from hil.faults.lockstep_run import Bench
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.diagnosis.live import LatchedCulprit
@@ -82,10 +83,7 @@ def test_at_no_time_after_the_rope_broke_is_somebody_sent_to_the_cell(bench: Ben
 def _compensating(rig: Lockstep) -> None:
     rig.rig.plant.preload(280.0)
     rig.run(0.4)
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run_until(Mode.COMPENSATING, 20.0)
-    rig.run(0.6)
+    arm_and_tension(rig, limit_s=20.0, settle_s=0.6)
 
 
 def test_a_running_rig_names_its_culprit_at_once_more_surely_later_and_nothing_after_the_reset(

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.lockstep import Lockstep, lockstep
+from hil.lockstep import lockstep
+from hil.operated_rig import arm_and_tension
 from hil.studies.compare.measured_ms import measured
 from rigctl.config.rig_file import load
 from rigctl.config.settings import RigSettings
@@ -55,14 +56,6 @@ def found(settings: RigSettings, tension_n: float, share: float = 1.0) -> Entry:
     )
 
 
-def compensating(rig: Lockstep) -> None:
-    rig.run(0.2)
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run_until(Mode.COMPENSATING, 20.0)
-    rig.run(2.0)
-
-
 def test_an_identified_rig_starts_with_the_design_for_its_plant_and_holds_the_tension(
     tmp_path: pathlib.Path, in_process: Command
 ) -> None:
@@ -76,7 +69,8 @@ def test_an_identified_rig_starts_with_the_design_for_its_plant_and_holds_the_te
     assert used.plant.cylinder_lag_s == QUICKER * settings.plant.cylinder_lag_s
     assert design.family == "identified 2026-10-30"
     with lockstep(used, design.gains, built=settings) as rig:
-        compensating(rig)
+        rig.run(0.2)
+        arm_and_tension(rig, limit_s=20.0, settle_s=2.0)
         records = rig.run(3.0)
         assert rig.loop.machine.mode is Mode.COMPENSATING
         # The filter believes the plant as built: its innovations are the cell's noise and no more.
@@ -112,7 +106,8 @@ def test_a_gain_table_follows_the_tension_without_a_bump(tmp_path: pathlib.Path,
     assert [entry.tension_n for entry in design.gains.table] == [300.0, 240.0]
     assert design.warnings() == []
     with lockstep(adopted(settings, NOW), design.gains, built=settings) as rig:
-        compensating(rig)
+        rig.run(0.2)
+        arm_and_tension(rig, limit_s=20.0, settle_s=2.0)
         rig.events.read()
         at_rest = rig.run(1.0)["command_mm_s"]
         steps, changes = [], []

@@ -12,6 +12,7 @@ from hil.faults.rows.arming_phases import PHASES, arm_until
 from hil.faults.stand import Injector, Stand
 from hil.lockstep import Lockstep, lockstep
 from hil.nodes.power_stage import StagePhase
+from hil.operated_rig import arm_and_tension
 from hil.wire import FRAME
 from rigctl.config.settings import RigSettings
 from rigctl.control.bus.outbox import CUTS, NMT_STOPS
@@ -105,10 +106,7 @@ def kill_and_see_mm(rig: Lockstep) -> float:
 def loaded_once(settings: RigSettings, gains: Gains) -> Iterator[Started]:
     with lockstep(changed(settings, cylinder={"brake_test": True}), gains) as rig:
         rig.run(0.2)
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TARGET, 100.0) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 5.0)
+        arm_and_tension(rig, target_n=100.0, limit_s=5.0)
         assert rig.command(Verb.HOLD) is Refusal.NONE
         rig.run(0.3)
         assert rig.command(Verb.DISARM) is Refusal.NONE
@@ -352,9 +350,7 @@ def test_reset_brings_all_devices_up_again_and_the_rig_works(rig: Lockstep) -> N
     assert rig.rig.drive.nmt_state is NmtState.OPERATIONAL
     assert rig.command(Verb.RESET) is Refusal.NONE, "the drive's own fault is cleared"
     rig.run(0.5)
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run_until(Mode.COMPENSATING, 5.0)
+    arm_and_tension(rig, limit_s=5.0)
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

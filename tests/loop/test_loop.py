@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.devices import objects as od
@@ -114,9 +115,7 @@ def test_a_rope_that_is_loaded_while_the_drive_is_off_is_believed_at_once(rig: L
     with lockstep(rig.settings, gains) as loaded:
         loaded.rig.plant.preload(300.0)
         loaded.run(0.1)
-        assert loaded.command(Verb.ARM) is Refusal.NONE
-        assert loaded.command(Verb.TENSION) is Refusal.NONE
-        loaded.run_until(Mode.COMPENSATING, 5.0)
+        arm_and_tension(loaded, limit_s=5.0)
 
 
 @pytest.mark.starts_in(Mode.COMPENSATING)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import lockstep
+from hil.operated_rig import arm_and_tension
 from hil.plant.layout import MECHANISM
 from hil.scenario import disturbances, kinds
 from hil.scenario.layered_rig import with_set
@@ -16,7 +17,6 @@ from hil.studies.moves.repeated_moves import LEARNING
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.design.margins import design_and_check
-from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
 from tests.builders.paths import ROOT
 from tests.builders.rig_bench import changed
@@ -78,9 +78,7 @@ def test_a_move_is_refused_without_the_section_and_outside_compensating(settings
         with lockstep(rig_settings, gains) as rig:
             rig.run(0.2)
             found = [rig.command(Verb.MOVE, 1.0)]
-            assert rig.command(Verb.ARM) is Refusal.NONE
-            assert rig.command(Verb.TENSION) is Refusal.NONE
-            rig.run_until(Mode.COMPENSATING, 10.0)
+            arm_and_tension(rig, limit_s=10.0)
             found += [rig.command(Verb.MOVE, number) for number in (1.0, 0.0, 1.5, 3.0, -1.0)]
             return found
 
@@ -92,9 +90,7 @@ def test_a_move_is_refused_without_the_section_and_outside_compensating(settings
 def test_the_record_shows_the_move_and_its_speed(settings: RigSettings, gains: Gains) -> None:
     with lockstep(learns(settings), gains) as rig:
         rig.run(0.2)
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 10.0)
+        arm_and_tension(rig, limit_s=10.0)
         learning: Any = rig.loop.learning
         table = learning._tables[1]
         table.taught, table.length, table.target_n, table.gains = 1, 900, 300.0, gains

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from hil.lockstep import lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.ipc.runtime_folder import ACTIVE
-from rigctl.model.states import Mode
-from rigctl.model.verbs import Refusal, Verb
 from rigctl.recorder.continuous import Continuous
 from rigctl.recorder.recording import parts_of, read
 from rigctl.report.findings import Findings, find
@@ -36,9 +35,7 @@ def run(
         rig.runtime.write_json(ACTIVE, document)
         recording = Continuous(rig.runtime, settings, 7, time.time_ns())
         rig.run(0.3)
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 20.0)
+        arm_and_tension(rig, limit_s=20.0)
         rig.rig.start_motion()
         for _ in range(round(SETTLED_S / BATCH_S)):
             for _ in range(round(BATCH_S * settings.loop.rate_hz)):

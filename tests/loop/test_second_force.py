@@ -12,6 +12,7 @@ import pytest
 from hil.faults import on_bus, stand
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from rigctl.config.second_force_section import SecondForceSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
@@ -86,12 +87,6 @@ def silence_second(rig: Lockstep) -> None:
     on_bus.silent(on_bus.second)(Stand(rig, "silent"))
 
 
-def compensate(rig: Lockstep) -> None:
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run_until(Mode.COMPENSATING, 20.0)
-
-
 @pytest.mark.study
 @pytest.mark.parametrize("kind", KINDS)
 def test_zero_and_scale_come_with_the_cells_and_then_both_paths_agree(
@@ -104,7 +99,7 @@ def test_zero_and_scale_come_with_the_cells_and_then_both_paths_agree(
         assert rig.reply["checks"] == Check.SECOND_FORCE
         standing = calibrate(rig, tare(rig))
         assert standing.second_scale == pytest.approx(1.0 / 1.015, abs=1e-4)
-        compensate(rig)
+        arm_and_tension(rig, limit_s=20.0)
         rig.run(4.0)
         last = rig.run(1.0)
         assert abs(float(last["force_gap_n"].mean())) < 2 * MEAN_N
@@ -120,7 +115,7 @@ def test_an_error_of_the_cell_is_shared_by_the_weight_of_the_paths(
     """The cell's zero moves after the tare: the article's load follows it by what the second path does not take off."""
     with tared(fitted(settings, kind), gains) as rig:
         rig.rig.cell._measurement.bias_n = 0.2
-        compensate(rig)
+        arm_and_tension(rig, limit_s=20.0)
         rig.run(12.0)
         last = rig.run(1.0)
         left_n = rig.settings.tension.target_n - float(last["vertical_n"].mean())
@@ -134,7 +129,7 @@ def test_two_paths_that_disagree_hold_the_rig_until_they_agree(
     settings: RigSettings, gains: Gains, kind: Kind_
 ) -> None:
     with tared(fitted(settings, kind), gains) as rig:
-        compensate(rig)
+        arm_and_tension(rig, limit_s=20.0)
         rig.run(1.0)
         second = rig.rig.second_force
         assert second is not None
@@ -181,7 +176,7 @@ def test_a_second_path_that_is_lost_is_logged_and_the_cell_leads_alone(settings:
         second = rig.rig.second_force
         assert second is not None
         second.fault_n = 0.1
-        compensate(rig)
+        arm_and_tension(rig, limit_s=20.0)
         before = rig.run(3.0)
         assert float(before["fused_n"][-1]) == pytest.approx(0.1 * WEIGHT, abs=0.02)
         silence_second(rig)

@@ -19,6 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from hil.faults import on_bus
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from hil.wire import FRAME
 from rigctl.config.audit_section import AuditSettings
 from rigctl.config.recording_section import RecordingSettings
@@ -81,9 +82,7 @@ def kept(settings: RigSettings, gains: Gains, tmp_path: pathlib.Path) -> Iterato
         found = Kept(rig, tmp_path)
         rig.run(0.2)
         assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 5.0)
+        arm_and_tension(rig, limit_s=5.0)
         found.poll()
         yield found
 
@@ -220,9 +219,7 @@ def test_a_dump_of_a_young_loop_comes_out_bit_identical(
         rig.run(0.3)
         rig.command(Setting.HOST_CHECKS, 0.0)  # as the gateway does
         assert rig.command(Verb.TARGET, 60.0) is Refusal.NONE
-        assert rig.command(Verb.ARM) is Refusal.NONE
-        assert rig.command(Verb.TENSION) is Refusal.NONE
-        rig.run_until(Mode.COMPENSATING, 5.0)
+        arm_and_tension(rig, limit_s=5.0)
         trip(rig)
         rig.run(2.1)
         kept.poll()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hil.lockstep import Lockstep, lockstep
+from hil.operated_rig import arm_and_tension
 from hil.scenario.case import load
 from hil.scenario.layered_rig import with_set
 from hil.scenario.play import play
@@ -33,13 +34,6 @@ NODE = ENCODER.node
 def fitted(settings: RigSettings, table: RunOutSettings | None = TABLE, **encoder: Any) -> RigSettings:
     update = {"rail_encoder": ENCODER.model_copy(update=encoder), "run_out": table}
     return settings.model_copy(update=update)
-
-
-def compensate(rig: Lockstep) -> None:
-    rig.run(0.2)
-    assert rig.command(Verb.ARM) is Refusal.NONE
-    assert rig.command(Verb.TENSION) is Refusal.NONE
-    rig.run_until(Mode.COMPENSATING, 12.0)
 
 
 def test_the_error_on_an_uneven_rail_shrinks_from_move_to_move(settings: RigSettings, gains: Gains) -> None:
@@ -82,7 +76,8 @@ def test_an_encoder_alone_changes_no_command(settings: RigSettings, gains: Gains
 
 def test_records_show_the_rails_angle_and_no_frame_is_missed(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings, rate_hz=100), gains) as rig:
-        compensate(rig)
+        rig.run(0.2)
+        arm_and_tension(rig, limit_s=12.0)
         rig.rig.start_motion()
         records = rig.run(6.0)
         assert rig.report.devices[2].name == "rail encoder"
@@ -101,7 +96,8 @@ def test_without_an_encoder_the_record_says_so(rig: Lockstep) -> None:
 
 def test_a_lost_encoder_ends_the_feed_forward_and_nothing_else(settings: RigSettings, gains: Gains) -> None:
     with lockstep(fitted(settings), gains) as rig:
-        compensate(rig)
+        rig.run(0.2)
+        arm_and_tension(rig, limit_s=12.0)
         change_run_out(rig, [5.0] * TABLE.bins)
         assert rig.rig.start_motion()
         assert np.abs(rig.run(6.0)["run_out_mm_s"]).max() > 0.01

@@ -18,17 +18,9 @@ from tests.builders.refusals import Refused
 from tests.builders.waiting import patience_s, until
 
 
-def compensating(daemon: Daemon) -> Client:
-    """A client of anna, who has tensioned the rig."""
-    client = daemon.client()
-    assert client.command("arm", "anna")["accepted"]
-    assert client.command("tension", "anna")["accepted"]
-    return client
-
-
 @pytest.mark.parametrize("verb", ["hold", "release"])
 def test_a_forged_answer_is_not_printed_and_the_rigs_own_is(own: Daemon, verb: str) -> None:
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig", "answers") as intruder:
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig", "answers") as intruder:
         Refused(own).line("declare queryable of rigctl/")
         operator = "kim" if verb == "hold" else "anna"
         if verb == "release":
@@ -43,14 +35,14 @@ def test_a_forged_answer_is_not_printed_and_the_rigs_own_is(own: Daemon, verb: s
 
 def test_an_answer_that_comes_alone_does_not_come(own: Daemon) -> None:
     """He answers on ``cmd/**``; here a key on which the daemon does not answer."""
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig", "answers") as intruder:
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig", "answers") as intruder:
         with pytest.raises(NoDaemonError):
             anna.ask(anna.keys.command("hold") + "/now", b"{}", 1.0)
         assert not intruder.was_asked
 
 
 def test_forged_and_repeated_messages_are_not_shown(own: Daemon) -> None:
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig", "publishes", "replays"):
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig", "publishes", "replays"):
         states, events = anna.follow(anna.keys.state), anna.events()
         Refused(own).line("put of rigctl/")
         newest = 0
@@ -67,7 +59,7 @@ def test_forged_and_repeated_messages_are_not_shown(own: Daemon) -> None:
 
 
 def test_tokens_of_other_rigs_do_not_hide_this_one(own: Daemon) -> None:
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig", "tokens", "answers"):
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig", "tokens", "answers"):
         Refused(own).line("liveliness token of rigctl/")
         assert rigctl.client.rigs(own.endpoint) == ["paper_rig"]
         done = own.cli("hold", "--operator", "kim")
@@ -84,7 +76,7 @@ def test_the_token_of_another_own_rig_does_not_hide_this_one(own: Daemon) -> Non
         other.start_loop()
         other.start_gateway()
         other.client().close()
-        with compensating(own), Intruder(own.endpoint, "other_rig", "token=other_rig", "answers"):
+        with own.compensating(), Intruder(own.endpoint, "other_rig", "token=other_rig", "answers"):
             done = own.cli("hold", "--operator", "kim")
             assert (done.returncode, done.stderr) == (0, "")
             assert done.stdout.startswith("HOLD: stroke held at")
@@ -93,7 +85,7 @@ def test_the_token_of_another_own_rig_does_not_hide_this_one(own: Daemon) -> Non
 
 
 def test_what_he_publishes_and_answers_is_on_record_in_one_line_of_a_kind(own: Daemon) -> None:
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         refused = Refused(own)
         assert refused.read() == []  # nothing that the daemon and its clients do
         with (
@@ -112,7 +104,7 @@ def test_what_he_publishes_and_answers_is_on_record_in_one_line_of_a_kind(own: D
 
 
 def test_what_is_put_from_the_clients_side_of_a_restart_is_not_foreign(own: Daemon) -> None:
-    with compensating(own):
+    with own.compensating():
         own.kill_gateway()
         own.start_gateway()
         own.client().close()
@@ -122,7 +114,7 @@ def test_what_is_put_from_the_clients_side_of_a_restart_is_not_foreign(own: Daem
 
 def test_who_takes_the_port_while_the_gateway_is_started_anew_gets_nothing(own: Daemon) -> None:
     """He has the daemon's port with a router of his own, its token, states and answers; then the gateway is back."""
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         states = anna.follow(anna.keys.state)
         with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
             own.kill_gateway()
@@ -172,7 +164,7 @@ def test_who_keeps_the_port_stops_nobody_on_this_computer(own: Daemon) -> None:
     def noted(client: Client) -> list[str]:
         return [event["kind"] for event in client.past_events() if event["kind"].startswith("ENDPOINT_")]
 
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         states = anna.follow(anna.keys.state)
         with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
             own.kill_gateway()
@@ -207,7 +199,7 @@ def reads(daemon: Daemon) -> bool:
 
 
 def test_the_port_is_the_routers_again_as_soon_as_it_is_free(own: Daemon) -> None:
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
             own.kill_gateway()
             intruder.wait("port")
@@ -218,7 +210,7 @@ def test_the_port_is_the_routers_again_as_soon_as_it_is_free(own: Daemon) -> Non
 
 def test_a_first_gateway_goes_on_without_a_port_that_another_program_has(own: Daemon) -> None:
     """It is on record at once; the router has the port as soon as it is free."""
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         with Intruder(own.endpoint, "paper_rig", "takes_port") as intruder:
             own.kill_gateway()
             intruder.wait("port")

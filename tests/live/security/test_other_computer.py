@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 import pytest
 
-from rigctl.client.connection import Client
 from rigctl.wire.keys import Keys
 from tests.builders.intruder import FORGED, Intruder
 from tests.builders.miniature import Daemon
@@ -39,21 +38,14 @@ def at(daemon: Daemon) -> str:
     return f"tcp/{HERE}:{daemon.endpoint.rpartition(':')[2]}"
 
 
-def compensating(daemon: Daemon) -> Client:
-    client = daemon.client()
-    assert client.command("arm", "anna")["accepted"]
-    assert client.command("tension", "anna")["accepted"]
-    return client
-
-
 def test_a_loopback_address_does_not_answer_there(own: Daemon, elsewhere: tuple[str, ...]) -> None:
-    with compensating(own), pytest.raises(AssertionError):
+    with own.compensating(), pytest.raises(AssertionError):
         Intruder(at(own), "paper_rig", namespace=elsewhere, patience=0.1)
 
 
 def test_no_command_is_taken_from_there(open_daemon: Daemon, elsewhere: tuple[str, ...]) -> None:
     own = open_daemon
-    with compensating(own) as anna, Intruder(at(own), "paper_rig", namespace=elsewhere) as intruder:
+    with own.compensating() as anna, Intruder(at(own), "paper_rig", namespace=elsewhere) as intruder:
         for verb, body in (
             ("lease_take", {"reason": "mine"}),
             ("release", {}),
@@ -69,7 +61,7 @@ def test_no_command_is_taken_from_there(open_daemon: Daemon, elsewhere: tuple[st
 
 def test_his_answers_and_tokens_do_not_come_here(open_daemon: Daemon, elsewhere: tuple[str, ...]) -> None:
     own = open_daemon
-    with compensating(own), Intruder(at(own), "paper_rig", "answers", "tokens", namespace=elsewhere) as intruder:
+    with own.compensating(), Intruder(at(own), "paper_rig", "answers", "tokens", namespace=elsewhere) as intruder:
         done = own.cli("hold", "--operator", "kim")
         assert (done.returncode, done.stderr) == (0, "")
         assert done.stdout.startswith("HOLD: stroke held at")

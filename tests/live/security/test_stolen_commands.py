@@ -10,7 +10,7 @@ import sys
 import msgspec
 import pytest
 
-from rigctl.client.connection import Client, NoDaemonError
+from rigctl.client.connection import NoDaemonError
 from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.ipc.folder_places import COMMAND_SOCKET
 from rigctl.wire.keys import Keys
@@ -29,17 +29,10 @@ def commands(daemon: Daemon) -> int:
     return daemon.runtime.commands.reader().head
 
 
-def compensating(daemon: Daemon) -> Client:
-    client = daemon.client()
-    assert client.command("arm", "anna")["accepted"]
-    assert client.command("tension", "anna")["accepted"]
-    return client
-
-
 def test_her_commands_and_her_lease_do_not_come_to_him(own: Daemon) -> None:
     """He answers on every key, and subscribes to all that he may; the id is in nothing that others may read."""
     with (
-        compensating(own) as anna,
+        own.compensating() as anna,
         Intruder(own.endpoint, "paper_rig", "answers", "replays") as intruder,
         Intruder(own.endpoint, "paper_rig") as another,
     ):
@@ -63,7 +56,7 @@ def test_her_commands_and_her_lease_do_not_come_to_him(own: Daemon) -> None:
 )  # fmt: skip
 def test_a_command_by_tcp_is_refused_and_put_on_record(own: Daemon, verb: str, body: dict[str, object]) -> None:
     """Also with the lease's id, which he has from somewhere."""
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         given, refused = commands(own), Refused(own)
         for shown in ({}, {"lease": anna.leases[ANNA]}):
             answer = intruder.ask(KEYS.command(verb), json.dumps({"operator": "anna", **body, **shown}).encode())
@@ -80,14 +73,14 @@ def test_a_command_by_tcp_is_refused_and_put_on_record(own: Daemon, verb: str, b
     "key", ["rigctl/*/cmd/release", "rigctl/paper_rig/cmd/*", "**", "rigctl/**", "rigctl/*/cmd/**"]
 )
 def test_a_command_for_every_rig_or_every_verb_is_none(own: Daemon, key: str) -> None:
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         given = commands(own)
         assert not intruder.ask(key, json.dumps({"operator": "anna", "lease": anna.leases[ANNA]}).encode())["good"]
         assert commands(own) == given
 
 
 def test_a_client_goes_on_with_the_next_run(own: Daemon) -> None:
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         own.kill_gateway()
         own.runtime.write_json("active.json", {**own.runtime.read_json("active.json"), "run_id": "another"})
         own.start_gateway()
@@ -103,7 +96,7 @@ def test_a_client_goes_on_with_the_next_run(own: Daemon) -> None:
 
 
 def test_his_flood_uses_up_no_operators_share(own: Daemon) -> None:
-    with compensating(own) as anna, Intruder(own.endpoint, "paper_rig") as intruder:
+    with own.compensating() as anna, Intruder(own.endpoint, "paper_rig") as intruder:
         refused = Refused(own)
         for _ in range(450):
             assert not intruder.ask(KEYS.command("lease_take"), b'{"operator": "kim", "reason": "x"}')["good"]
@@ -116,7 +109,7 @@ def test_his_flood_uses_up_no_operators_share(own: Daemon) -> None:
 
 def test_another_user_reads_the_rig_is_told_so_and_commands_nothing(own: Daemon) -> None:
     """The command line of a user who may only enter the run-time folder: HOLD goes by the loop's socket there."""
-    with compensating(own) as anna:
+    with own.compensating() as anna:
         environment = {**own.environment(), "HOME": "/", "XDG_RUNTIME_DIR": ""}
 
         def typed(*words: str) -> subprocess.CompletedProcess[str]:
@@ -142,6 +135,6 @@ def test_another_user_reads_the_rig_is_told_so_and_commands_nothing(own: Daemon)
 
 
 def test_the_files_and_the_socket_of_the_run_are_closed_to_others(own: Daemon) -> None:
-    with compensating(own):
+    with own.compensating():
         for place in (own.runtime.place(IN_FORCE), own.runtime.gateway_socket, own.runtime.place(COMMAND_SOCKET)):
             assert place.stat().st_mode & 0o077 == 0
