@@ -34,9 +34,7 @@ def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before
     tmp_path: pathlib.Path,
 ) -> None:
     with running(tmp_path, {}) as rig:
-        rig.do("arm")
-        rig.do("target", "100")
-        rig.do("tension", "--wait")
+        rig.compensate(100)
         code, found = doctor(rig)
         assert code == any(row["severity"] == "fails" for row in found.values())
         assert found["emergency stop: released"]["ok"]
@@ -53,8 +51,7 @@ def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before
         until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
         assert daemons.mode(rig.file) == "DISARMED"  # the drive's own fault: a whole arming follows
         assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
-        rig.do("arm")
-        rig.do("tension", "--wait")
+        rig.compensate()
 
 
 def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_says_the_same(

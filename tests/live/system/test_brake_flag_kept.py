@@ -34,9 +34,7 @@ def test_a_slip_is_known_to_the_next_daemon_until_its_brake_test(tmp_path: pathl
     with daemons.simulated_rig(file, tmp_path / "rig.log") as served:
         with daemons.daemon(file, tmp_path / "first.log") as daemon:
             rig = Running(file, daemon, served, tmp_path / "first.log")
-            rig.do("arm")
-            rig.do("target", "100")
-            rig.do("tension", "--wait")
+            rig.compensate(100)
             rig.do("hold")
             until(lambda: daemons.state(file).get("held_by") == "BRAKE", log=rig.log)
             inject(rig, "brake_slips_slowly")

@@ -75,6 +75,13 @@ class Running:
         assert answer.stderr.count("\n") == 1
         return answer.stderr
 
+    def compensate(self, target_n: float | None = None) -> None:
+        """Arm and tension, until the target is reached."""
+        self.do("arm")
+        if target_n is not None:
+            self.do("target", f"{target_n:g}")
+        self.do("tension", "--wait")
+
     def truth(self) -> tuple[float, float]:
         """True vertical tension in N and stroke in mm."""
         node = daemons.simulator(self.file)
@@ -147,9 +154,7 @@ def test_what_is_not_possible_is_refused_in_one_line(running: Running) -> None:
 
 @pytest.mark.alone  # two loops beside it leave the rig no processor for the daemon's last SDO
 def test_sigterm_in_the_closed_loop_ends_in_hold_with_the_load_carried(running: Running) -> None:
-    running.do("arm")
-    running.do("target", "100")
-    running.do("tension", "--wait")
+    running.compensate(100)
     before = running.truth()
     with late_wake_ups() as late_ms:
         running.daemon.send_signal(signal.SIGTERM)
@@ -206,9 +211,7 @@ def kept(records: RingReader) -> Iterator[list[np.ndarray[Any, Any]]]:
 
 
 def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(running: Running) -> None:
-    running.do("arm")
-    running.do("target", "100")
-    running.do("tension", "--wait")
+    running.compensate(100)
     records = Runtime.of(daemons.name_of(running.file)).records.reader()
     with kept(records) as parts:
         for _ in range(2):
@@ -226,9 +229,7 @@ def test_the_gateway_is_killed_and_comes_back_and_the_loop_does_not_notice(runni
 
 
 def test_a_killed_control_process_comes_back_disarmed_with_the_load_carried(running: Running) -> None:
-    running.do("arm")
-    running.do("target", "100")
-    running.do("tension", "--wait")
+    running.compensate(100)
     before = running.truth()
     control = Runtime.of(daemons.name_of(running.file)).read_json("control.json")["pid"]
     os.kill(control, signal.SIGKILL)
@@ -245,9 +246,7 @@ def test_a_killed_control_process_comes_back_disarmed_with_the_load_carried(runn
 
 
 def test_a_killed_supervisor_leaves_the_stroke_held_and_nothing_running(running: Running) -> None:
-    running.do("arm")
-    running.do("target", "100")
-    running.do("tension", "--wait")
+    running.compensate(100)
     before = running.truth()
     runtime = Runtime.of(daemons.name_of(running.file))
     control = runtime.read_json("control.json")["pid"]

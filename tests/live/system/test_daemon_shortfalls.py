@@ -36,9 +36,7 @@ def running(tmp_path: pathlib.Path) -> Iterator[Running]:
 
 def tensioned(running: Running) -> tuple[float, float]:
     """Arm and tension; returns true vertical tension and stroke."""
-    running.do("arm")
-    running.do("target", "100")
-    running.do("tension", "--wait")
+    running.compensate(100)
     return running.truth()
 
 

@@ -40,8 +40,7 @@ def tuned(file: pathlib.Path, name: str, **changes: dict[str, float]) -> str:
 def test_gains_change_while_it_compensates_and_outlive_the_control_process(running: Running) -> None:
     file = running.file
     softer = tuned(file, "softer", design={"command_weight": 3.0})
-    running.do("arm")
-    running.do("tension", "--wait")
+    running.compensate()
     assert "limit 1.6" in (said := running.do("gains", softer, "--operator", "kim"))
     written = ledger.read(config.load(file))[-1]
     wanted = yaml.safe_load(pathlib.Path(softer).read_text())["gains"]

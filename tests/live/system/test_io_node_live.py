@@ -27,9 +27,7 @@ def test_it_is_latched_and_told_apart_from_the_drives_and_its_silence_bars_armin
     with running(tmp_path, {"io": IO}) as rig:
         assert "I/O node 6" in (tmp_path / "rig.log").read_text()
         assert "I/O inputs" in daemons.rigctl("check", str(rig.file)).stdout
-        rig.do("arm")
-        rig.do("target", "100")
-        rig.do("tension", "--wait")
+        rig.compensate(100)
         _, found = doctor(rig)
         assert found[RELEASED]["ok"] and found[SEEN]["ok"]
         daemons.simulator(rig.file).write(od.SIM_IO_E_STOP, 1)

@@ -146,9 +146,7 @@ def test_a_full_disk_is_told_and_the_daemon_goes_on(tmp_path: pathlib.Path) -> N
             running = Running(file, daemon, rig, log)
             runtime = Runtime.of(daemons.name_of(file))
             until(lambda: runtime.read_json(RECORDED).get("entries"), log=log)
-            running.do("arm")
-            running.do("target", "60")
-            running.do("tension", "--wait")
+            running.compensate(60)
             filler = disk / "filler"
             with filler.open("wb", buffering=0) as out_, pytest.raises(OSError, match="No space left"):
                 while True:

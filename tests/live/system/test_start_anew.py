@@ -56,9 +56,7 @@ def test_without_a_bus_the_reset_says_what_it_does_and_the_end_what_was_seen(tmp
 
 def test_a_reset_of_the_silence_starts_all_devices_up_again(tmp_path: pathlib.Path) -> None:
     with running(tmp_path, {"recording": {"folder": "recordings"}}) as rig:
-        rig.do("arm")
-        rig.do("target", "100")
-        rig.do("tension", "--wait")
+        rig.compensate(100)
         former = control_pid(rig)
         inject(rig, "sync_unheard")  # the drive goes on at its last speed, so that nothing but silence stops it
         until(lambda: daemons.state(rig.file).get("fault") in ("SYNC_LOST", "DRIVE_STALE"), log=rig.log)
