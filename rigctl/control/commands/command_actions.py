@@ -72,17 +72,17 @@ class CommandAction:
         return {"tension_n": on.observer.tension_n}
 
 
-class _Tension(CommandAction):
+class _TensionAction(CommandAction):
     def figures(self, on: ActedOn, _given: Answer, _t_ns: int) -> Figures:
         return {"target_n": on.law.target_n}
 
 
-class _Target(_Tension):
+class _TargetAction(_TensionAction):
     def begin(self, on: ActedOn, values: Figures, _t_ns: int) -> None:
         on.law.aim(values["target_n"])
 
 
-class _Move(CommandAction):
+class _MoveAction(CommandAction):
     def begin(self, on: ActedOn, values: Figures, t_ns: int) -> None:
         if on.learning is not None:
             tangential_rad, _, normal_rad, _ = on.observer.inclination.state
@@ -93,7 +93,7 @@ class _Move(CommandAction):
         return super().figures(on, given, t_ns) if on.learning is None else {"taught": float(on.learning.taught)}
 
 
-class _ConfirmStroke(CommandAction):
+class _ConfirmStrokeAction(CommandAction):
     def begin(self, on: ActedOn, _values: Figures, t_ns: int) -> None:
         on.logbook.stroke(t_ns, on.homed.confirm(on.observer.snapshot.stroke_mm))
 
@@ -101,7 +101,7 @@ class _ConfirmStroke(CommandAction):
         return {"stroke_mm": on.observer.snapshot.stroke_mm}
 
 
-class _Carry(CommandAction):
+class _CarryAction(CommandAction):
     def before(self, on: ActedOn, verb: Verb, situation: Situation, t_ns: int) -> None:
         by = Witness(int(situation.by))
         if by is not Witness.BOTH:
@@ -112,29 +112,29 @@ class _Carry(CommandAction):
         return {"carried_s": max(0, on.machine.sequence.carry_until_ns - t_ns) * 1e-9}
 
 
-class _BrakeTest(CommandAction):
+class _BrakeTestAction(CommandAction):
     def figures(self, on: ActedOn, given: Answer, t_ns: int) -> Figures:
         done = given.refusal is Refusal.NONE
         return {"tension_n": given.command.test.tension_n} if done else super().figures(on, given, t_ns)
 
 
-class _Trial(CommandAction):
+class _TrialAction(CommandAction):
     def figures(self, on: ActedOn, given: Answer, t_ns: int) -> Figures:
         done = given.refusal is Refusal.NONE
         return dict(given.command.found) if done else super().figures(on, given, t_ns)
 
 
-_PLAIN, _CARRY = CommandAction(), _Carry()
+_PLAIN, _CARRY = CommandAction(), _CarryAction()
 ACTIONS: dict[Verb, CommandAction] = {
     **dict.fromkeys(Verb, _PLAIN),
-    **dict.fromkeys(TRIED_IN, _Trial()),
-    Verb.TENSION: _Tension(),
-    Verb.TARGET: _Target(),
-    Verb.MOVE: _Move(),
-    Verb.CONFIRM_STROKE: _ConfirmStroke(),
+    **dict.fromkeys(TRIED_IN, _TrialAction()),
+    Verb.TENSION: _TensionAction(),
+    Verb.TARGET: _TargetAction(),
+    Verb.MOVE: _MoveAction(),
+    Verb.CONFIRM_STROKE: _ConfirmStrokeAction(),
     Verb.CARRY: _CARRY,
     Verb.LOWER: _CARRY,
-    Verb.BRAKE_TEST: _BrakeTest(),
+    Verb.BRAKE_TEST: _BrakeTestAction(),
 }
 
 

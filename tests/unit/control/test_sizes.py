@@ -37,7 +37,7 @@ def test_a_class_of_the_loop_has_one_subject() -> None:
 
 
 def test_the_machine_has_no_state_but_mode_fault_and_sequence() -> None:
-    tree = ast.parse((CONTROL / "machine.py").read_text())
+    tree = ast.parse((CONTROL / "power/machine.py").read_text())
     machine = next(node for node in tree.body if isinstance(node, ast.ClassDef) and node.name == "Machine")
     methods = [one for one in machine.body if isinstance(one, ast.FunctionDef) and one.name != "__init__"]
     assigned = {
