@@ -203,7 +203,7 @@ def test_a_row_that_cannot_be_played_is_a_row_with_its_reason() -> None:
         update={"preflight": config.load(RIG).preflight.model_copy(update={"stroke_margin_mm": 1e3})}
     )
     play._benches.clear()
-    assert play._play(ROW) == {ROW.key: {"not played": {"RuntimeError": "ARM was refused: PREFLIGHT"}}}
+    assert play._play(ROW) == {ROW.key: {"not played": {"CommandRefusedError": "ARM was refused: PREFLIGHT"}}}
 
 
 # -- the command ----------------------------------------------------------------------------------------------------
