@@ -53,7 +53,7 @@ def of_verb(verb: Verb) -> Callable[..., None]:
         wait, value = bool(given.pop("wait", False)), given.pop("value", None)
         for option in row.options:
             if option.required and option.kind is bool and not given[option.name]:
-                raise typer.BadParameter(row.expert)
+                raise typer.BadParameter(row.missing)
         named = {name: found or "" if isinstance(found, str | None) else found for name, found in given.items()}
         give_and_end(verb, json, connect, rig, operator, None if value is None else float(value), wait=wait, **named)
 

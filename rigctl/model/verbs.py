@@ -115,8 +115,8 @@ class CommandRow(NamedTuple):
     effect: str = ""
     """What it would do now, for its confirmation on the page: a template of the names in
     `rigctl.page.page_commands.meaning`."""
-    expert: str = ""
-    """Words where a required option is missing; "": those that name it."""
+    missing: str = ""
+    """Words of the command line where a required confirmation is missing."""
 
 
 CARRY_S = 1.0, 3600.0
@@ -392,7 +392,7 @@ class Verb(IntEnum):
         answered_s=_TRIAL_S,
         help="Where the brake is known not to hold: it has the load for 10 s, then the motor; shows that it holds.\n\n"
         "In HOLD on a tight rope. If the load moves by 0.05 mm the motor takes it back.",
-        expert="support the payload from below first, the brake may let it go; then give --supported",
+        missing="support the payload from below first, the brake may let it go; then give --supported",
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ from hil.faults.in_device import brake_slips, creeps
 from hil.faults.stand import Stand
 from hil.lockstep import Lockstep, lockstep
 from rigctl.config.changed_settings import changed
+from rigctl.config.limits_section import LimitSettings
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Gains
 from rigctl.control.power.arming import BRAKE_TEST_MM, LONG_TEST_NS
@@ -186,6 +187,19 @@ def test_a_cause_that_takes_the_power_off_leaves_a_load_kept_in_hold_to_the_moto
     trip(held, Action.QUICK_STOP, Fault.E_STOP)
     held.run(1.0)
     assert not held.view.carries, "what concerns moving the load stops the motor"
+
+
+def test_a_limit_that_ramps_down_has_the_motor_lower_a_load_kept_in_hold(settings: RigSettings, gains: Gains) -> None:
+    """The reaction of the rig file is the weaker one, and ends with a slack rope; the motor's 10 min are not waited."""
+    limit = LimitSettings(signal="command_age_s", high=10.0, action="ramp_down")
+    with lockstep(settings.model_copy(update={"limits": (*settings.limits, limit)}), gains) as rig:
+        stand.start(rig, Mode.HOLD, 300.0)
+        stand.enter(rig, Mode.HOLD)
+        rig.loop.brake.set("a test of the test")
+        rig.run_until(Mode.RELEASING, 12.0)
+        assert rig.loop.machine.fault is Fault.LIMIT
+        rig.run_until(Mode.FAULT, LIMIT_S)
+        assert rig.view.slack
 
 
 def test_a_fault_while_an_end_waits_for_the_load_does_not_give_it_to_that_brake(held: Lockstep) -> None:

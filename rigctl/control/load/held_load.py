@@ -147,7 +147,7 @@ class HeldLoad:
             return trip
         ends = self._trip_of_carried(snapshot)
         if ends is None and trip is not None and self._machine.fault is Fault.NONE:  # in HOLD: the motor goes on
-            return replace(trip, action=Action.HOLD)
+            return replace(trip, action=min(trip.action, Action.HOLD))
         return ends
 
     def note_brake(self, t_ns: int) -> None:

@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rigctl.control.power.arming import LONG_TEST_NS
+from rigctl.ipc import hold_socket
 from rigctl.ipc.record import REPLY
 from rigctl.model.checks import Check
 from rigctl.model.faults import Fault
@@ -175,3 +177,9 @@ def test_an_armed_rig_says_what_was_waived_and_why() -> None:
 @pytest.mark.parametrize("check", Check)
 def test_every_check_has_a_phrase(check: Check) -> None:
     assert check.words
+
+
+def test_words_of_a_row_are_those_of_the_loop_and_of_the_short_way_to_it() -> None:
+    """`rigctl hold` loads no catalogue, and the catalogue no loop."""
+    assert Verb.HOLD.row.done == hold_socket.HELD
+    assert f"for {LONG_TEST_NS * 1e-9:g} s" in Verb.BRAKE_TEST.row.done
