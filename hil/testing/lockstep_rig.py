@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from hil.faults.judging.standing import StandingFault, found, hindrance
 from hil.lockstep import Lockstep, lockstep
+from hil.rig_with_ledger import RigWithLedger
 from hil.scenario.case import load
 from hil.scenario.play import Played, play
 from hil.scenario.running_disturbances import RunningDisturbances
@@ -24,8 +25,10 @@ from rigctl.config.settings import RigSettings
 from rigctl.demo.lockstep import recording_of
 from rigctl.design.verdict import Design
 from rigctl.model.faults import Fault
+from rigctl.model.requests import Request
 from rigctl.model.states import Mode
 from rigctl.model.verbs import Refusal, Verb
+from rigctl.operations.filing import Filed
 
 WAKE_S = 0.2
 """Until every signal is fresh."""
@@ -51,6 +54,7 @@ class LockstepRig(FixtureRig):
         self._truth: list[Truth] = []
         self._faults: list[StandingFault] = []
         self._disturbances = RunningDisturbances(rig.rig.plant, rig.settings)
+        self.ledger = RigWithLedger(rig, design.gains, design.as_dict(), self._wall_offset_ns)
         own = _recorded_in(folder, rig.settings)
         self._recording = recording_of(rig, own, design, self._start_ns + self._wall_offset_ns)
         rig.on_advance = self._each_period
@@ -108,6 +112,17 @@ class LockstepRig(FixtureRig):
         """
         if (refusal := self.command(verb, *values)) != Refusal.NONE.name:
             raise RefusedInTestError(f"{name_of(verb)} was refused in {self.mode}: {refusal}")
+
+    def commission(self, verb: str | Verb, **fields: Any) -> Filed:
+        """Carry out TARE, CALIBRATE, IDENTIFY, RESPONSE or GAINS as the daemon does, with a ledger in memory.
+
+        ``fields``: of a `rigctl.model.requests.Request`: ``value``, ``adopt``, ``tight``, ``gain_file`` ...
+
+        Returns:
+            The finding, on record and in force, or the reason why there is none.
+        """
+        self._check(0.0)
+        return self.ledger.carry_out(Request(Verb[name_of(verb).upper()], "test", **fields))
 
     def disturb(self, **kinds: list[dict[str, Any]]) -> None:
         """Begin disturbances now: the lists below ``disturbances`` of a scenario file, see docs/scenario.md.

@@ -41,7 +41,7 @@ def file(rig: RigInOperation, request: Request, measured: Measured, t_ns: int) -
             finding = findings.gains(rig.settings, request, dict(rig.design), design, measured.wall_ns)
         else:
             finding = _found(rig, request, measured, t_ns)
-        return _filed(rig, finding, measured.wall_ns, design)
+        return put_on_record(rig, finding, measured.wall_ns, design)
     except (FindingError, EvaluationError) as error:
         return Filed(reason="out_of_bounds", text=str(error))
     except NotAdmittedError as error:
@@ -77,7 +77,14 @@ def of_cell(rig: CellInOperation, request: Request, measured: Measured, t_ns: in
     return findings.calibrate(rig.settings, request, rig.standing, measured)
 
 
-def _filed(rig: CellInOperation, finding: CalibrationFinding, wall_ns: int, design: dict[str, Any] | None) -> Filed:
+def put_on_record(
+    rig: CellInOperation, finding: CalibrationFinding, wall_ns: int, design: dict[str, Any] | None = None
+) -> Filed:
+    """File a finding; what is in force does not change yet.
+
+    Raises:
+        LedgerError: it could not be written.
+    """
     if rig.settings.ledger is None:
         text = f"{finding.text} (not on record: no calibration section)"
         return Filed(replace(finding, text=text), design=design)

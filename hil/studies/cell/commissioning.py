@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 
 from hil.studies.cell.bench import CellBench
 from hil.studies.cell.drawn_cell import DrawnCell
+from rigctl.control.excitation.trials import LoadBin
 from rigctl.ipc import ledger
-from rigctl.ipc.ledger import Entry, Standing
+from rigctl.ipc.ledger import Entry
 from rigctl.model.requests import Request
 from rigctl.model.verbs import Verb
-from rigctl.operations import calibration_findings as findings
-from rigctl.operations.calibration_findings import CalibrationFinding, FindingError, Measured
-from rigctl.operations.creep_finding import creep
+from rigctl.operations import filing
+from rigctl.operations.calibration_findings import FindingError, Measured
 
 DAY_S = 86_400.0
 OPERATOR = "bench"
@@ -23,44 +24,47 @@ CREEP_S, REST_S, SETTLE_S = 1800.0, 3600.0, 120.0
 
 
 class Commissioned:
-    """A cell on its bench, and its ledger. ``standing``: what the ledger says now."""
+    """A cell on its bench, and its ledger: a `CellInOperation`. ``standing``: what the ledger says now."""
 
     def __init__(self, bench: CellBench) -> None:
-        self.bench = bench
-        self.entries: list[Entry] = []
-        self.standing = self._stands()
+        self.bench, self.settings = bench, bench.settings
+        self._entries: list[Entry] = []
+        self._bins: list[LoadBin] = []
+        self.standing = ledger.standing(bench.settings, (), bench.wall_ns)
 
     def tare(self) -> None:
         """Of the unloaded cell."""
-        bench = self.bench
-        measured = self._measured(bench.average())
-        self._file(findings.tare(bench.settings, Request(Verb.TARE, OPERATOR), self.standing, measured, self.entries))
+        self._file(Request(Verb.TARE, OPERATOR), self._measured(self.bench.average()))
 
     def record_creep(self, seconds: float, weight_n: float) -> None:
         """Hang the weight, record, and adopt the creep if it is told; the weight stays."""
-        bench = self.bench
-        bins = bench.record_creep(seconds, weight_n)
+        self._bins = self.bench.record_creep(seconds, weight_n)
         request = Request(Verb.CALIBRATE, OPERATOR, creep_s=seconds, adopt=True)
-        measured = Measured(0.0, 0.0, bench.wall_ns, seconds)
-        try:
-            found = creep(bench.settings, request, self.standing, measured, bins)
-        except FindingError:
-            return  # not told from drift: the class's creep stays in the budget
-        self._file(found, held_s=seconds)
+        with contextlib.suppress(FindingError):  # not told from drift: the class's creep stays in the budget
+            self._file(request, Measured(0.0, 0.0, self.bench.wall_ns, seconds), held_s=seconds)
 
     def calibrate(self) -> None:
         """Against the weight that hangs; the scale is adopted."""
-        bench, request = self.bench, Request(Verb.CALIBRATE, OPERATOR, adopt=True)
-        self._file(findings.calibrate(bench.settings, request, self.standing, self._measured(bench.average())))
+        self._file(Request(Verb.CALIBRATE, OPERATOR, adopt=True), self._measured(self.bench.average()))
 
-    def _file(self, finding: CalibrationFinding, held_s: float = math.nan) -> None:
+    def _file(self, request: Request, measured: Measured, held_s: float = math.nan) -> None:
         """Put a finding on the ledger and in force; ``held_s``: time since the load of an adopted creep came."""
-        self.entries.append(finding.entry)
-        self.standing = self._stands()
+        finding = filing.of_cell(self, request, measured, measured.wall_ns)
+        self.standing = filing.put_on_record(self, finding, measured.wall_ns).standing or self.standing
         self.bench.cell.put(self.standing.correction, held_s=held_s)
 
-    def _stands(self) -> Standing:
-        return ledger.standing(self.bench.settings, self.entries, self.bench.wall_ns)
+    def entries(self) -> list[Entry]:
+        """Every entry, oldest first."""
+        return list(self._entries)
+
+    def append(self, written: Entry) -> list[Entry]:
+        """File one more entry; returns all."""
+        self._entries.append(written)
+        return self.entries()
+
+    def load_bins(self, _until_ns: int) -> list[LoadBin]:
+        """The newest record of a weight."""
+        return self._bins
 
     def _measured(self, figures: dict[str, float]) -> Measured:
         return Measured(

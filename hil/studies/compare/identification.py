@@ -6,17 +6,14 @@ Both are played on the rig in lockstep, one after the other in HOLD, and evaluat
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
-from hil.lockstep import Lockstep, lockstep
+from hil.lockstep import lockstep
 from hil.nodes.low_pass import time_constant_s
 from hil.plant.parameters import axial_damping_n_s_mm
+from hil.rig_with_ledger import RigWithLedger
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import bring_to_target
-from rigctl.commission.identification import IdentificationError
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design.gains import design
@@ -24,11 +21,9 @@ from rigctl.design.identified import Identified, NotIdentifiedError, Uncertain, 
 from rigctl.design.plant_family import Member, sampled
 from rigctl.ipc.ledger import Entry
 from rigctl.model.requests import Request
-from rigctl.model.verbs import Refusal, Verb
-from rigctl.operations import calibration_findings as findings
-from rigctl.operations.evaluation import response
+from rigctl.model.verbs import Verb
 
-WHEN, WHEN_NS = "2026-01-01T00:00:00+00:00", 1_767_225_600_000_000_000
+WHEN = "2026-01-01T00:00:00+00:00"
 STIFFNESS, LAG, MECHANISM = 0.005, 0.01, 0.03
 """Uncertainty at 95 % as a share of the value."""
 DAMPING_N_S_MM = 0.0006
@@ -36,7 +31,7 @@ DELAY_S = 0.0002
 SEEN_HZ = 25.0
 """Highest resonance of the mechanism that the multisine finds."""
 KG_PER_N_S2_MM = 1000.0
-SETTLE_S, REST_S, LONGEST_S, PART_S = 3.0, 1.0, 120.0, 0.5
+SETTLE_S, REST_S = 3.0, 1.0
 
 
 class Built(NamedTuple):
@@ -95,38 +90,17 @@ def played(rig: RigSettings) -> Identified:
         bring_to_target(subject, rig.tension.target_n, SETTLE_S)
         subject.command(Verb.HOLD)
         subject.run(REST_S)
-        try:
-            steps = findings.identify(rig, _request(Verb.IDENTIFY), trial(subject, Verb.IDENTIFY), WHEN_NS)
-            answer = response(rig, gains, trial(subject, Verb.RESPONSE))
-            entries: list[Entry] = [steps.entry, findings.response(rig, _request(Verb.RESPONSE), answer, WHEN_NS).entry]
-            return points(entries, rig)[0]
-        except (findings.FindingError, IdentificationError, NotIdentifiedError) as error:
-            raise ScenarioError([f"{rig.rig}: not identified: {error}"], exit_code=1) from None
-
-
-def trial(rig: Lockstep, verb: Verb) -> npt.NDArray[Any]:
-    """The records of a trial, IDENTIFY or RESPONSE, from its begin to its answer.
-
-    Raises:
-        ScenarioError: it was refused or has ended early.
-    """
-    rig.read_records()
-    given = rig.give(verb, math.nan)
-    parts = []
-    for _ in range(round(LONGEST_S / PART_S)):
-        parts.append(rig.run(PART_S))
-        if (reply := rig.reply_to(given)) is None:
-            continue
-        if (ended := Refusal(int(reply["reason"]))) is not Refusal.NONE:
-            raise ScenarioError([f"{rig.settings.rig}: {verb.name} ended with {ended.name}"], exit_code=1)
-        records = np.concatenate(parts)
-        after_ns = records["t_ns"].astype(np.int64) - int(reply["t_ns"])
-        return records[(after_ns <= 0) & (after_ns > -round(float(reply["duration_s"]) * 1e9))]
-    raise ScenarioError([f"{rig.settings.rig}: {verb.name} has not ended after {LONGEST_S:g} s"], exit_code=1)
-
-
-def _request(verb: Verb) -> Request:
-    return Request(verb, "study")
+        twin = RigWithLedger(subject, gains)
+        entries: list[Entry] = []
+        for verb in (Verb.IDENTIFY, Verb.RESPONSE):
+            filed = twin.carry_out(Request(verb, "study"))
+            if filed.finding is None:
+                raise ScenarioError([f"{rig.rig}: not identified: {filed.text}"], exit_code=1)
+            entries.append(filed.finding.entry)
+    try:
+        return points(entries, rig)[0]
+    except NotIdentifiedError as error:
+        raise ScenarioError([f"{rig.rig}: not identified: {error}"], exit_code=1) from None
 
 
 def true_plant(rig: RigSettings) -> Member:
