@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 import textwrap
 
-from rigctl.cli.verb_table import VERBS
+from rigctl.cli.verb_table import GROUPS, VERBS, VerbRow
 
 WIDEST = 100
 _NARROWEST = 40
@@ -22,8 +22,6 @@ Options:
   --show-completion     Show completion for the current shell, to copy it or
                         customize the installation.
   -h, --help            Show this message and exit.
-
-Commands:
 """
 
 
@@ -31,11 +29,13 @@ def top_help() -> str:
     """The help of ``rigctl``, as wide as the terminal."""
     width = max(min(shutil.get_terminal_size().columns, WIDEST) - 2, _NARROWEST)
     column = max(len(row.name) for row in VERBS) + 4
-    rows = [
-        textwrap.fill(
-            row.line, width, initial_indent=f"  {row.name}".ljust(column), subsequent_indent=" " * column,
-            break_on_hyphens=False,
-        )
-        for row in VERBS
-    ]  # fmt: skip
-    return HEAD + "\n".join(rows) + "\n"
+    return HEAD + "".join(
+        f"\n{title}:\n" + "".join(f"{_line(row, column, width)}\n" for row in rows) for title, rows in GROUPS.items()
+    )
+
+
+def _line(row: VerbRow, column: int, width: int) -> str:
+    return textwrap.fill(
+        row.line, width, initial_indent=f"  {row.name}".ljust(column), subsequent_indent=" " * column,
+        break_on_hyphens=False,
+    )  # fmt: skip

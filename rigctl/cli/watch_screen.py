@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SPAN_PCT = 10.0  # span of the bar on either side of the target
 NARROW = 72
-"""Columns below which a line is wrapped, so that no value is cut off."""
+"""Columns below which a line is wrapped below its label, else beside it; no word is cut off."""
 _LABEL = 14
 _INDENT = 2
 _SEVERITY = {"error": "bold red", "warning": "yellow", "info": ""}
@@ -84,11 +84,20 @@ def stroke_bar(state: dict[str, Any], limits: dict[str, Any], width: int) -> lis
 
 
 def fitted(text: Text, width: int) -> list[Text]:
-    """A line, wrapped with indentation on a narrow terminal."""
-    if width >= NARROW or text.cell_len <= width:
+    """A line, wrapped with indentation where it is longer than the terminal is wide."""
+    if text.cell_len <= width:
         return [text]
-    first, *rest = text.wrap(Console(width=width), width - _INDENT)
-    return [first, *(Text.assemble(" " * _INDENT, more) for more in rest)]
+    indent = _INDENT if width < NARROW else _LABEL
+    first, *rest = text.wrap(Console(width=width), width - indent)
+    return [first, *(Text.assemble(" " * indent, more) for more in rest)]
+
+
+def words(label: str, value: str, style: str, width: int) -> list[Text]:
+    """A row of words, each step on a line of its own, wrapped in their column; on a narrow terminal below its label."""
+    if width < NARROW:
+        return fitted(_row(label, value, style), width)
+    first, *rest = Text(value.replace("  ", "\n"), style).wrap(Console(width=width), width - _LABEL)
+    return [_row(label, first), *(_row("", more) for more in rest)]
 
 
 class Screen:
@@ -107,30 +116,44 @@ class Screen:
     def lines(self, width: int, height: int) -> list[Text]:
         """The screen's lines from top to bottom; events fill the rest."""
         view, state = self._view, self._view.state
-        head = [self._title(width)]
+        head, more = [self._title(width)], list[tuple[str, str, str]]()
         if view.is_silent or state is None:
             head += self._banner(f"NO DATA FOR {view.silent_s:.0f} s", "bold white on red", width)
-            if (found := unanswered_here(view.endpoint, view.rig)) is not None:
-                head += [_row(*row) for row in rows(found)]
-            head.append(Text(f"reconnecting to {view.endpoint}; the values below are the last ones, old", "bold red"))
+            said = rows(found) if (found := unanswered_here(view.endpoint, view.rig)) is not None else []
+            said.append(("", f"reconnecting to {view.endpoint}; the values below are the last ones, old", "bold red"))
         else:
             head += self._banner(" ".join(figures.mode(state)), figures.mode_style(state), width)
-            head += [_row(*row) for row in culprit_rows(state)]
-            head.append(Text(figures.why(state), "bold red"))
-            head += [_row("active", words, "bold red") for words in figures.causes(state)]
-            now_ns, lock_out = time.time_ns(), str((view.settings.get("safety") or {}).get("lock_out") or "")
-            if (origin := view.origin.now) is not None:
-                head.append(_row("in this mode", f"since {figures.clock(origin.since_ns)[:-2]}, {origin.by}"))
-            with view.lock:
-                alarms = view.alarms.rows(state, now_ns)
-            head += [_row(*row) for row in banner_rows(state, operator_view(state, alarms, lock_out))]
-            head += [_row(*row) for row in alarm_rows(alarms, now_ns, state)]
+            said, more = self._said(state)
+        more += [("warning", text, "yellow") for text in (state or {}).get("warnings", [])]
+        more += [("warning", view.refused, "yellow")] if view.refused else []
+        load, values = [], list[Text]()
         if state is not None and state.get("mode") is not None:
-            head += self._values(state, width - _LABEL)
-        warnings = [*(state or {}).get("warnings", []), *([view.refused] if view.refused else [])]
-        head += [_row("warning", text, "yellow") for text in warnings]
-        head = [part for text in head for part in fitted(text, width)]
-        return head + self._events(width, max(0, height - len(head)))
+            room = width - _LABEL
+            load = [*tension_bar(state, room), *stroke_bar(state, view.settings.get("cylinder") or {}, room)]
+            values = self._values(state)
+        lines = [
+            *(part for text in head for part in fitted(text, width)),
+            *(part for row in said for part in words(*row, width)),
+            *(part for text in load for part in fitted(text, width)),
+            *(part for row in more for part in words(*row, width)),
+            *(part for text in values for part in fitted(text, width)),
+        ]  # fmt: skip
+        return lines + self._events(width, max(0, height - len(lines)))
+
+    def _said(self, state: dict[str, Any]) -> tuple[list[tuple[str, str, str]], list[tuple[str, str, str]]]:
+        """Label, words and style of what is wrong and what to do, and of every cause and alarm in detail."""
+        view, now_ns = self._view, time.time_ns()
+        lock_out = str((view.settings.get("safety") or {}).get("lock_out") or "")
+        with view.lock:
+            alarms = view.alarms.rows(state, now_ns)
+        why, origin = figures.why(state), view.origin.now
+        said = [*culprit_rows(state), ("why", why, "bold red")] if why else culprit_rows(state)
+        more = [("active", text, "bold red") for text in figures.causes(state) if not text.startswith(f"{why}, since")]
+        if origin is not None:
+            more.append(("in this mode", f"since {figures.clock(origin.since_ns)[:-2]}, {origin.by}", ""))
+        return said + banner_rows(state, operator_view(state, alarms, lock_out)), more + alarm_rows(
+            alarms, now_ns, state
+        )
 
     def _title(self, width: int) -> Text:
         left = f"{self._view.rig}  {self._view.endpoint}"
@@ -142,13 +165,11 @@ class Screen:
         blank = " " * width
         return [Text(blank, style), Text(text.center(width), style), Text(blank, style)]
 
-    def _values(self, state: dict[str, Any], width: int) -> list[Text]:
+    def _values(self, state: dict[str, Any]) -> list[Text]:
         skipped = f"{state['skipped']} of {count(state['tick'], 'tick')}"
         slope = state["quality"]["inclination"]
         return [
-            *tension_bar(state, width),
-            *stroke_bar(state, self._view.settings.get("cylinder") or {}, width),
-            *(_row(*line) for line in figures.in_order(
+            _row(*line) for line in figures.in_order(
                 *figures.lines(state, "watch"),
                 figures.DisplayLine(10, "inclination", figures.inclination(state), "" if slope == "good" else "yellow"),
                 figures.DisplayLine(20, "signals", figures.flaws(state), "bold yellow"),
@@ -158,21 +179,19 @@ class Screen:
                 figures.DisplayLine(60, "bus", figures.counters(state)),
                 figures.DisplayLine(70, "flags", figures.flags(state), "yellow"),
                 figures.DisplayLine(80, "limits", "; ".join(self._view.limits.now), "yellow"),
-                *(figures.DisplayLine(90, "before arming", words, style) for words, style in figures.checks(state)),
+                *(figures.DisplayLine(90, "before arming", text, style) for text, style in figures.checks(state)),
                 figures.DisplayLine(100, "calibration", *figures.calibration(state)),
                 figures.DisplayLine(110, "recorder", *figures.recorder(state)),
                 figures.DisplayLine(120, "lease", figures.lease(state)),
-            )),
+            )
         ]  # fmt: skip
 
     def _events(self, width: int, room: int) -> list[Text]:
         if room <= 1:
             return []
-        rows = [
-            part
+        lines = [
+            Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], ""))
             for event in list(self._view.events)[-(room - 1) :]
-            for part in fitted(
-                Text(f"{figures.clock(event['wall_ns'])}  {event['text']}", _SEVERITY.get(event["severity"], "")), width
-            )
         ]
-        return [Text("events", "dim"), *rows[-(room - 1) :]]
+        parts = [part for line in lines for part in fitted(line, width)]
+        return [Text("events", "dim"), *parts[-(room - 1) :]]

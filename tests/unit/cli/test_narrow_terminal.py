@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -11,10 +12,13 @@ from rich.console import Console
 
 from rigctl.cli import check
 from rigctl.cli.watch_screen import Screen
+from rigctl.client.rig_view import RigView
 from rigctl.config import rig_file as config
 from rigctl.config.settings_base import Settings
 from rigctl.devices import busload
 from rigctl.wire import state_words as figures
+from rigctl.wire.operator_view import view as operator_view
+from tests.builders.page_states import ACTIVE, catalogue
 from tests.builders.paths import ROOT
 from tests.unit.client.test_hostile_messages import EVENT, STATE, view_of
 
@@ -94,3 +98,18 @@ def test_watch_goes_on_in_the_next_line_where_a_terminal_is_narrow(width: int) -
 
 def test_watch_keeps_to_its_height_where_a_terminal_is_narrow() -> None:
     assert len(screen(40, 24)) <= 24
+
+
+def test_watch_shows_every_step_and_cuts_nothing_in_80_columns_and_24_lines() -> None:
+    """Whatever is wrong: the last step is the RESET that the operator looks for."""
+    for shown in catalogue():
+        view = RigView("tcp/127.0.0.1:1", "paper_rig")
+        view.take_state(shown.state)
+        view.take_active(ACTIVE)
+        view.add_events(shown.events)
+        lines = Screen(view).lines(80, 24)[:24]
+        assert max(line.cell_len for line in lines) <= 80, shown.name
+        if shown.state["mode"] is not None:
+            seen = operator_view(shown.state, view.alarms.rows(shown.state, time.time_ns()), "Q1 (24 V stays on)")
+            text = "".join("".join(line.plain for line in lines).split())
+            assert "".join(seen.next_step.split()) in text, shown.name
