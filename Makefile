@@ -76,7 +76,8 @@ wheel: $(STAMP)
 	$(PYTHON) deploy/release/wheel.py
 
 docs: $(STAMP)
-	$(PYTHON) -m mkdocs build --quiet --strict -f deploy/docs/mkdocs.yml
+	@echo "building the pages of docs/ into rigctl/page/site:"
+	$(PYTHON) -m mkdocs build --strict -f deploy/docs/mkdocs.yml
 	@echo "rigctl/page/site/index.html; rigctl page serves it under /docs"
 
 lock: $(STAMP)

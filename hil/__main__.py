@@ -391,6 +391,9 @@ def _inject(
     ] = None,
     end: Annotated[bool, typer.Option("--end", help="end the fault that is active")] = False,
     list_: Annotated[bool, typer.Option("--list", help="print the faults that can be put into a running rig")] = False,
+    for_this_rig: Annotated[
+        bool, typer.Option("--for-this-rig", help="with RIG --list: those that the devices of the rig file can have")
+    ] = False,
 ) -> None:
     """Put a fault of the catalogue into the simulated rig that runs (python -m hil serve), for a while or until --end.
 
@@ -398,7 +401,9 @@ def _inject(
     """
     from hil.cli import inject as command
 
-    raise typer.Exit(command.show_list() if list_ else command.run(file, fault, for_, end=end))
+    if list_:
+        raise typer.Exit(command.show_list(file, for_this_rig=for_this_rig))
+    raise typer.Exit(command.run(file, fault, for_, end=end))
 
 
 def _announce(text: str) -> None:

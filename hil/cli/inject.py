@@ -10,6 +10,7 @@ from hil.faults import served
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.judging.standing import hindrance
 from hil.scenario.errors import ScenarioError
+from rigctl.model.parts import Part
 
 
 def run(file: pathlib.Path | None, fault: str | None, for_s: float | None, *, end: bool) -> int:
@@ -27,10 +28,21 @@ def run(file: pathlib.Path | None, fault: str | None, for_s: float | None, *, en
     return 0 if answer.done else 1
 
 
-def show_list() -> int:
-    """Print the faults that can be injected."""
+def show_list(file: pathlib.Path | None, *, for_this_rig: bool) -> int:
+    """Print the faults that can be injected, by the part that each is of.
+
+    Raises:
+        ScenarioError: ``for_this_rig`` without a rig file, or bad input.
+    """
     rows = [row for row in CATALOGUE if not hindrance(row, served=True)]
-    width = max(len(row.id) for row in rows)
-    for row in rows:
-        sys.stdout.write(f"{row.id:{width}}  {row.place:6}  {row.what}\n")
+    if for_this_rig:
+        if file is None:
+            raise ScenarioError(["hil: --for-this-rig: found no rig file, expected RIG --list --for-this-rig"])
+        rows = served.possible(simulated_rig(file), rows)
+    width = max((len(row.id) for row in rows), default=0)
+    for part in Part:
+        of_part = [row for row in rows if row.part[:1] == (part,)]
+        for number, row in enumerate(of_part):
+            head = f"{part}:\n" if number == 0 else ""
+            sys.stdout.write(f"{head}  {row.id:{width}}  {row.place:6}  {row.what}\n")
     return 0

@@ -7,7 +7,7 @@ import math
 from collections import deque
 from functools import partial
 
-from hil.faults.stand import FaultPlace, FindNode, Injector, NoDeviceError, Stand, Step, parts_of
+from hil.faults.stand import FaultPlace, FindNode, Injector, NoDeviceError, Stand, Step, needs_of, parts_of
 from hil.nodes.cylinder_drive import CylinderDrive, ServiceTool
 from hil.nodes.node import GENERIC_ERROR, Node
 from rigctl.config.simulation_section import DevicesSettings
@@ -127,7 +127,7 @@ def both(*parts: Injector) -> Injector:
 
         return step_all
 
-    return _of(parts_of(parts), inject)
+    return _of(parts_of(parts), inject, needs_of(parts))
 
 
 def reboots(find: FindNode) -> Injector:

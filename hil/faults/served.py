@@ -13,12 +13,13 @@ import pathlib
 import socket
 import struct
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 import msgspec
 
+from hil.faults.expected import InjectedFault
 from hil.faults.judging.standing import FaultRefusedError, StandingFault, found, hindrance
 from hil.faults.stand import Needs
 from hil.hub import Hub
@@ -107,6 +108,20 @@ class ServedRig:
     def inject(self, frame: bytes) -> None:
         """Put a frame on the bus as a foreign node would."""
         self._stranger.send(frame)
+
+
+def possible(settings: RigSettings, faults: Iterable[InjectedFault]) -> list[InjectedFault]:
+    """Those of the faults that a served rig of these settings can have."""
+    hub = Hub(lambda: 0)
+    rig = ServedRig(settings, SimulatedRig(settings, 0, hub.attach(lambda _: None).send), hub)
+    found = []
+    for fault in faults:
+        if fault.needs is Needs.OWN_WIRE and settings.can.interface != "rigsim":
+            continue
+        with contextlib.suppress(FaultRefusedError):
+            StandingFault(rig, fault, 0).end()
+            found.append(fault)
+    return found
 
 
 class FaultServer:

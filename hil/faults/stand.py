@@ -59,7 +59,7 @@ class FaultPlace(StrEnum):
 
 
 class Needs(Enum):
-    """What a rig must have, beside the device, so that a fault can be put into it while it runs."""
+    """What a rig must have, apart from the device, for a fault while it runs; each member needs more than the last."""
 
     NOTHING = auto()
     OWN_WIRE = auto()  # of the simulator
@@ -85,6 +85,11 @@ class Injector:
 def parts_of(injectors: Iterable[Injector]) -> tuple[Part, ...]:
     """The parts of several faults."""
     return tuple(dict.fromkeys(part for injector in injectors for part in injector.part))
+
+
+def needs_of(injectors: Iterable[Injector]) -> Needs:
+    """What a rig must have for several faults: the most that one of them needs."""
+    return max((injector.needs for injector in injectors), key=lambda needs: needs.value, default=Needs.NOTHING)
 
 
 @dataclass(frozen=True)

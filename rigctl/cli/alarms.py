@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
+from rigctl.cli.completion import causes
 from rigctl.cli.operator_name import operator_name
 from rigctl.cli.options import (
     BAD,
@@ -41,7 +42,9 @@ class AlarmTask(Enum):
 
 
 What = Annotated[AlarmTask, typer.Argument(metavar="show|acknowledge|shelve|unshelve", help="What to do.")]
-Cause = Annotated[str | None, typer.Argument(metavar="[CAUSE]", help="Which alarm, as the list names it.")]
+Cause = Annotated[
+    str | None, typer.Argument(metavar="[CAUSE]", help="Which alarm, as the list names it.", autocompletion=causes)
+]
 All = Annotated[bool, typer.Option("--all", help="acknowledge: every alarm that is not acknowledged.")]
 Reason = Annotated[str | None, typer.Option(metavar="TEXT", help="shelve: why; on record.")]
 Minutes = Annotated[float | None, number_option(SHELF_MINUTES, "--for", metavar="MINUTES", help="shelve: how long.")]

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.options import BAD, DONE, USAGE, Json, end, load_rig_file, number_option, say_json
 from rigctl.config.typed_number import TypedNumber
 
@@ -22,7 +23,7 @@ SKIPPED_PER_LATE = 3
 """Periods the loop may skip for each late wake-up of cyclictest."""
 _LONGEST_S, _SHORTEST_S = 3600.0, 1.0
 
-File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
+File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.", autocompletion=rig_files)]
 Seconds = Annotated[
     float,
     number_option(

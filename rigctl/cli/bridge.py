@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.options import BAD, DONE, USAGE, Connect, Rig, end, load_rig_file, number_option, say, wrong_usage
 from rigctl.config.address import Address, AddressError, CannotListenError, here
 from rigctl.config.typed_number import TypedNumber
@@ -39,7 +40,10 @@ LAYOUTS = {
 }
 What = Annotated[BridgeTo, typer.Argument(metavar="|".join(to.value for to in BridgeTo), help="Which tool.")]
 File = Annotated[
-    pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file, for name and endpoint [--connect, --rig].")
+    pathlib.Path | None,
+    typer.Argument(
+        metavar="[FILE]", help="Rig file, for name and endpoint [--connect, --rig].", autocompletion=rig_files
+    ),
 ]
 Listen = Annotated[
     str | None,

@@ -11,13 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.options import BAD, DONE, USAGE, Connect, Json, Rig, end, load_rig_file, say, say_json
 
 if TYPE_CHECKING:
     from rigctl.cli.doctor_host import DoctorFinding
     from rigctl.config.settings import RigSettings
 
-File = Annotated[pathlib.Path | None, typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].")]
+File = Annotated[
+    pathlib.Path | None,
+    typer.Argument(metavar="[FILE]", help="Rig file [the running daemon's].", autocompletion=rig_files),
+]
 _WIDEST = 100
 _INDENT = 9
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.options import BAD, USAGE, end, load_rig_file, say, wrong_usage
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ _ROOT = pathlib.Path("/")
 
 
 def install(
-    file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")],
+    file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.", autocompletion=rig_files)],
     dry_run: Dry = False,
     root: Root = _ROOT,
     adapter: Annotated[

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
 from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.cli.options import BAD, DONE, USAGE, Json, check_output, end, load_rig_file, say, say_json, wrong_usage
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 DEMO_FILE = pathlib.Path("config/paper_rig.yaml")
 DEMO_RECORDINGS = pathlib.Path("recordings")
-File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")]
+File = Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.", autocompletion=rig_files)]
 
 
 def _check_files(settings: RigSettings, *, keys: bool = True) -> None:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from rigctl.cli.completion import rig_files
 from rigctl.cli.json_file import STANDARD_OUTPUT, JsonFile
 from rigctl.cli.json_file import complaint as json_complaint
 from rigctl.cli.options import (
@@ -38,7 +39,7 @@ SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def tune(
-    file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.")],
+    file: Annotated[pathlib.Path, typer.Argument(metavar="FILE", help="Rig file.", autocompletion=rig_files)],
     json: JsonFile = None,
     plot: Annotated[
         pathlib.Path | None, typer.Option(metavar="FILE", help="Draw Bode, Nyquist and sensitivity: png, svg, pdf.")

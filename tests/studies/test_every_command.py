@@ -52,7 +52,7 @@ PAPER = "config/paper_rig.yaml"
 SMALL = (
     "--help",
     "faults --list",
-    "inject --list",
+    f"inject {PAPER} --list --for-this-rig",
     f"fmu {PAPER} --out FOLDER/plant.fmu",
     "scenario config/scenarios/jolt.yaml --plot FOLDER/jolt.svg --json",
     f"faults {PAPER} --only cell_silent --mode HOLD --diagnosis FOLDER/windows --json",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.faults.stand import FaultPlace, Injector, Stand, Step, parts_of
+from hil.faults.stand import FaultPlace, Injector, Needs, Stand, Step, needs_of, parts_of
 from rigctl.model.verbs import Setting, Verb
 
 
@@ -24,7 +24,8 @@ def in_turn(*parts: tuple[float, Injector]) -> Injector:
         step(0.0)
         return step
 
-    return Injector(FaultPlace.SEVERAL, parts_of(part for _, part in parts), inject)
+    injectors = [part for _, part in parts]
+    return Injector(FaultPlace.SEVERAL, parts_of(injectors), inject, needs_of(injectors))
 
 
 def gives(verb: Verb | Setting, *values: float) -> Injector:
@@ -33,4 +34,4 @@ def gives(verb: Verb | Setting, *values: float) -> Injector:
     def inject(stand: Stand) -> None:
         stand.lockstep.give(verb, *values)
 
-    return Injector(FaultPlace.SEVERAL, (), inject)
+    return Injector(FaultPlace.SEVERAL, (), inject, Needs.LOOP)

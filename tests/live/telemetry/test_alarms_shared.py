@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from rigctl.cli import completion
 from rigctl.ipc.notes import Note
 from rigctl.wire.alarms import AlarmAct, Alarms
 from tests.builders.miniature import Daemon
@@ -15,7 +16,7 @@ from tests.builders.stand_in import TRIP_N
 from tests.builders.waiting import until
 
 
-def test_a_session_with_an_alarm(own: Daemon) -> None:
+def test_a_session_with_an_alarm(own: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
     own.client().close()
     assert own.cli("alarms").stdout == "no alarms\n"
     for verb in (("arm",), ("target", str(TRIP_N))):
@@ -30,6 +31,9 @@ def test_a_session_with_an_alarm(own: Daemon) -> None:
     result = own.cli("status", "--all")
     for label in ("does now", "blocks reset", "next step", "entry", "alarm"):
         assert any(line.startswith(label) for line in result.stdout.splitlines()), label
+    monkeypatch.setenv("RIGCTL_CONNECT", own.endpoint)
+    assert completion.causes(cause[:2]) == [cause]
+    assert completion.causes("NONE") == []
     assert own.cli("alarms", "acknowledge", "NONE").returncode == 2
     assert own.cli("alarms", "shelve", cause).returncode == 2
     with own.client() as client:
