@@ -28,7 +28,7 @@ BEGAN_NS = 1_767_225_600_000_000_000
 LONGEST_S, PART_S = 120.0, 0.5
 
 
-class Trial(NamedTuple):
+class GivenTrial(NamedTuple):
     """A trial that has been given and is not answered yet."""
 
     request: Request
@@ -68,12 +68,12 @@ class RigWithLedger:
             return Filed(reason="not_possible", text=why)
         return self.finish(self.begin(request))
 
-    def begin(self, request: Request) -> Trial:
+    def begin(self, request: Request) -> GivenTrial:
         """Give the command; until `finish` the caller lets time pass as the trial needs it, for 4 s at most."""
         self._kept = [self._records.read()]
-        return Trial(request, self._rig.give(request.verb, *request.numbers))
+        return GivenTrial(request, self._rig.give(request.verb, *request.numbers))
 
-    def finish(self, trial: Trial) -> Filed:
+    def finish(self, trial: GivenTrial) -> Filed:
         """Let time pass until the trial is answered, and put on record and in force what it found."""
         request, reply = trial.request, self._reply_to(trial)
         if (refusal := Refusal(int(reply["reason"]))) is not Refusal.NONE:
@@ -92,7 +92,7 @@ class RigWithLedger:
             self.design, self._gains = filed.design, Gains(**filed.design["gains"])
         return filed
 
-    def _reply_to(self, trial: Trial) -> Any:
+    def _reply_to(self, trial: GivenTrial) -> Any:
         rate_hz = self.settings.loop.rate_hz
         for _ in range(round(LONGEST_S / PART_S)):
             for _ in range(round(PART_S * rate_hz)):

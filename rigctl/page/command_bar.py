@@ -31,7 +31,7 @@ def _button(verb: Verb) -> str:
 
 def _field(number: Option) -> str:
     unit, mode = number.field.unit if number.field else "", number.shown_in
-    place = f' data-mode="{mode.name}"' if mode is not None else ""
+    place = f' data-only-in="{mode.name}"' if mode is not None else ""
     return (
         f'<span class="field"{place}><input id="{number.noun}" type="text" inputmode="decimal" maxlength="40" '
         f'autocomplete="off" aria-label="{escape(number.label)}" aria-describedby="{number.noun}-bounds" '

@@ -24,11 +24,12 @@ def answers(state: dict[str, Any], alarms: Sequence[Alarm], lock_out: str = "") 
         "since_ms": None if root is None or root.since_ns is None else root.since_ns / 1e6,
         "active": root is None or root.stands, "does": found.does, "blocks": found.blocks,
         "steps": [{"text": step.text, "verb": "" if step.read_at_rig else step.verb} for step in found.steps],
-        "entry": found.entry, "entry_why": found.entry_why,
+        "entry": found.entry, "entry_why": found.entry_why, "unheld": found.unheld,
     }  # fmt: skip
 
 
 NOT_KNOWN = "not known"
+_NAMES = {"drive": "drive", "tension": "tension cell", "inclination": "inclinometer"}
 
 
 class _Part(NamedTuple):
@@ -64,7 +65,7 @@ def devices(state: dict[str, Any], active: dict[str, Any]) -> list[dict[str, Any
         *_signals(state),
         *_e_stops(state, settings),
         *(_Part(80, name, doubt.get(key, str(quality.get(key, "-"))), key in doubt, age_ms=_age(state, key))
-          for name, key in (("tension cell", "tension"), ("inclinometer", "inclination"))),
+          for key, name in _NAMES.items() if key != "drive"),
     ]  # fmt: skip
     load = active.get("bus_load")
     if isinstance(load, int | float):
@@ -99,10 +100,11 @@ def values(state: dict[str, Any]) -> list[dict[str, Any]]:
     return found
 
 
-def oldest_ms(state: dict[str, Any]) -> float | None:
-    """Age of the oldest of the devices' newest samples: how old the measurements shown are."""
-    ages = [age for device in DEVICES if (age := _age(state, device)) is not None]
-    return max(ages, default=None)
+def oldest(state: dict[str, Any]) -> dict[str, Any] | None:
+    """The device whose newest sample is the oldest, and its age in ms; None where no age is known."""
+    ages = [(age, device) for device in DEVICES if (age := _age(state, device)) is not None]
+    age_ms, device = max(ages, default=(None, ""))
+    return None if age_ms is None else {"name": _NAMES[device], "age_ms": age_ms}
 
 
 def _e_stops(state: dict[str, Any], settings: dict[str, Any]) -> Iterator[_Part]:

@@ -85,7 +85,7 @@ def state_message(picture: Picture, holds_lease: bool, asked: str = "") -> dict[
         "values": {name: state.get(name) for name in _NUMBERS},
         "doubts": doubts(state),
         "ramping": figures.on_ramp(state),
-        "oldest_ms": operator_panel.oldest_ms(state),
+        "oldest": operator_panel.oldest(state),
         "brake": figures.brake(state),
         "drive": figures.drive(state),
         "held_by": state.get("held_by"),

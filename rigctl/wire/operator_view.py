@@ -54,6 +54,7 @@ class OperatorView:
     ``follows``: alarms, active or latched, that follow from the culprit, or all others without one.
     ``steps``: what to do, the first one safe.
     ``entry``: `KEEP_OUT` or `LOCK_OUT_FIRST`; ``entry_why``: why, or what is to be locked out.
+    ``unheld``: nothing shows that the load is held.
     """
 
     causes: tuple[FaultCause, ...]
@@ -66,6 +67,7 @@ class OperatorView:
     text: str = ""
     follows: tuple[str, ...] = ()
     priority: str = ""
+    unheld: bool = False
 
     @property
     def next_step(self) -> str:
@@ -105,11 +107,11 @@ def view(state: dict[str, Any], alarms: Sequence[Alarm] = (), lock_out: str = ""
         return _without_loop(state)
     causes, flags = _causes(state, alarms), state.get("flag_names", [])
     verbs = refused_now(state)
-    entry, why = _entry(state, flags, lock_out)
+    entry, why, unheld = _entry(state, flags, lock_out)
     parts, text, after, priority = _headline(state, causes, alarms)
     return OperatorView(causes, _does(state, flags), _blocks(state, causes, verbs),
                         _steps(state, causes, verbs, entry, lock_out), entry, why, parts, text, after,
-                        priority)  # fmt: skip
+                        priority, unheld)  # fmt: skip
 
 
 def _without_loop(state: dict[str, Any]) -> OperatorView:
@@ -376,19 +378,19 @@ def _sentence(words: str) -> str:
     return f"{words[:1].upper()}{words[1:]}" + ("" if words[-1:] in ".?!" else ".")
 
 
-def _entry(state: dict[str, Any], flags: list[str], lock_out: str) -> tuple[str, str]:
-    """No promise of safety: the lock-out at the rig makes it safe, not this program."""
+def _entry(state: dict[str, Any], flags: list[str], lock_out: str) -> tuple[str, str, bool]:
+    """No promise of safety: the lock-out at the rig makes it safe, not this program. Third: the load is not held."""
     if "drive" in doubts(state):
-        return KEEP_OUT, "nothing valid is heard of the drive"
+        return KEEP_OUT, "nothing valid is heard of the drive", True
     if "drive_enabled" in flags:
-        return KEEP_OUT, "the drive is on, the stroke may move at any time"
+        return KEEP_OUT, "the drive is on, the stroke may move at any time", False
     named = {str(state.get("fault")), *(str(cause.get("fault")) for cause in _active(state))}
     if named & _SINKING or BRAKE_FAILS in flags:
-        return KEEP_OUT, f"the brake does not hold the load: {held(state)}"
+        return KEEP_OUT, f"the brake does not hold the load: {held(state)}", True
     unsafe = isinstance(state.get("slack_s"), int | float) or state.get("power_off") in _NOT_SHOWN
     if state.get("held_by") not in ("BRAKE", None) or unsafe:
-        return KEEP_OUT, held(state)
+        return KEEP_OUT, held(state), unsafe
     tension = trusted(state, "tension_n")
     carries = number(tension, 1, "N") if tension is not None else "an unknown tension"
     name = lock_out or "the drive; its lock-out has no name (safety.lock_out)"
-    return LOCK_OUT_FIRST, f"{name}: rope and brake carry {carries}"
+    return LOCK_OUT_FIRST, f"{name}: rope and brake carry {carries}", False

@@ -29,7 +29,7 @@ def test_what_the_page_shows_passes(pytester: pytest.Pytester) -> None:
 
 
 def test_the_page_begins_with_a_test_of_eight_lines() -> None:
-    assert len(shown("test")) == 4
+    assert len(shown("test")) == 5
     assert len(shown("live")) == 1
     assert len(shown("test")[0].splitlines()) <= 8
 

@@ -51,7 +51,7 @@ PROGRAMS = frozenset({"rigctl", "python", "make", "ip", "apt", "systemctl", ".ve
 """Words that a command in a block may begin with."""
 README_LINES = 150
 PICTURE_BYTES = 150_000
-GROUPS = {"rigctl": typer.main.get_group(typer_app.program()), "hil": typer.main.get_group(hil_app)}
+GROUPS: dict[str, Any] = {"rigctl": typer.main.get_command(typer_app.program()), "hil": typer.main.get_group(hil_app)}
 PATH = re.compile(r"(?:rigctl|hil|tests|config|docs)(?:/[\w.-]+)+/?|(?:rigctl|hil|tests|config|docs)/")
 NAME = re.compile(r"((?:rigctl|hil|tests)(?:\.[A-Za-z_]\w*)+)(?:\(.*\))?")
 

@@ -15,6 +15,9 @@ export class AlarmTable {
       byId("shelve").hidden = await this.decide("shelve", byId("shelve-cause").textContent, { reason: byId("shelve-reason").value.trim(), minutes: byId("shelve-minutes").value });
     });
     byId("shelve-no").addEventListener("click", () => (byId("shelve").hidden = true));
+    this.scroll = document.querySelector("#alarms .scroll");
+    this.scroll.addEventListener("scroll", () => this.count());
+    byId("more-alarms").addEventListener("click", () => this.scroll.scrollBy({ top: this.scroll.clientHeight - 40 }));
     document.querySelector("#alarm-table").addEventListener("click", (event) => {
       const { act, cause } = event.target.dataset ?? {};
       if (act === "open") this.toggle(cause);
@@ -31,6 +34,14 @@ export class AlarmTable {
     const focus = document.activeElement?.dataset?.key;
     this.body.replaceChildren(...rows.map((row) => this.row(row, operator)));
     if (focus) [...this.body.querySelectorAll("[data-key]")].find((node) => node.dataset.key === focus)?.focus();
+  }
+
+  // How many alarms are below those in sight.
+  count() {
+    const end = this.scroll.getBoundingClientRect().bottom + 1;
+    const below = [...this.body.children].filter((row) => row.getBoundingClientRect().bottom > end).length;
+    byId("more-alarms").hidden = below === 0;
+    byId("more-alarms").textContent = `▼ ${below} more`;
   }
 
   row(row, operator) {

@@ -1,5 +1,6 @@
 // Commands, where this browser has signed in to a page with operator rights. The server checks everything again.
 const byId = (id) => document.getElementById(id);
+const RAMPS = ["TENSIONING", "RELEASING"];
 
 export class Commands {
   constructor(session) {
@@ -37,11 +38,12 @@ export class Commands {
     this.mine = Boolean(state.lease?.mine);
     byId("return").hidden = !this.mine;
     set(byId("lease-text"), `lease: ${state.lease?.text ?? "-"}`);
-    // What was answered before a fault is no answer to it.
+    // What was answered before a fault is no answer to it; a ramp that was begun is not "ramping" any more at its end.
     if (state.mode === "FAULT" && this.mode !== undefined && this.mode !== "FAULT") this.say("", true);
+    else if (this.begun && state.mode !== this.begun.mode && this.mode === this.begun.mode) this.say(`${this.begun.verb} has ended: ${state.mode}`, true);
     this.mode = state.mode;
     for (const node of document.querySelectorAll(".in-fault")) node.classList.toggle("away", state.mode !== "FAULT");
-    for (const node of document.querySelectorAll("[data-mode]")) node.classList.toggle("away", state.mode !== node.dataset.mode);
+    for (const node of document.querySelectorAll("[data-only-in]")) node.classList.toggle("away", state.mode !== node.dataset.onlyIn);
     for (const [id, words] of Object.entries(state.bounds ?? {})) set(byId(`${id}-bounds`), words);
     this.verbs(state);
     byId("hold").classList.toggle("dead", Boolean(state.hold_dead)); // undefined would change it at every message
@@ -71,14 +73,14 @@ export class Commands {
     const asked = performance.now();
     const body = { verb, reason };
     const field = document.querySelector(`[data-verb=${verb}]`)?.closest(".target")?.querySelector("input");
-    const mode = field?.closest("[data-mode]")?.dataset.mode; // a number that is for one mode may be left out
+    const mode = field?.closest("[data-only-in]")?.dataset.onlyIn; // a number that is for one mode may be left out
     if (field && !(mode && (mode !== this.mode || !(value ?? field.value)))) body.value = value ?? field.value; // the server reads it, as it reads a command line
-    for (const once of document.querySelectorAll("[data-mode] input")) once.value = ""; // it is for one command alone
+    for (const once of document.querySelectorAll("[data-only-in] input")) once.value = ""; // it is for one command alone
     const { ok, answer } = await this.session.post("command", body);
     this.answeredMs = performance.now() - asked;
     if (ok && answer.confirm) this.ask(answer);
     else if (answer.holder) this.ask({ ...answer, verb, value: body.value, for_s: 60 });
-    else this.say(answer.text, ok);
+    else this.answered(answer, ok);
   }
 
   async giveBack() {
@@ -91,7 +93,7 @@ export class Commands {
     this.waiting = proposal;
     const inside = byId("confirm").contains(document.activeElement), foreign = Boolean(proposal?.holder);
     byId("confirm").hidden = !proposal;
-    byId("said").hidden = byId("why-not").hidden = Boolean(proposal);
+    byId("said").hidden = byId("why-not").hidden = byId("lease").hidden = Boolean(proposal);
     if (inside && !proposal) byId("hold").focus(); // the focus is never lost
     if (!proposal) return;
     byId("reason").hidden = !foreign;
@@ -112,10 +114,17 @@ export class Commands {
     if (proposal.holder) return this.give(proposal.verb, reason, proposal.value);
     this.say("...", true);
     const { ok, answer } = await this.session.post("confirm", { confirm: proposal.confirm });
+    this.answered(answer, ok);
+  }
+
+  // ``begun``: a ramp that goes on after the answer, and the mode of it.
+  answered(answer, ok) {
     this.say(answer.text, ok);
+    if (ok && RAMPS.includes(answer.mode)) this.begun = { verb: String(answer.verb).toUpperCase(), mode: answer.mode };
   }
 
   say(text, ok) {
+    this.begun = null;
     byId("said").textContent = text && text !== "..." ? `${new Date().toLocaleTimeString([], { hour12: false })} ${text}` : text;
     byId("said").className = ok ? "" : "bad";
   }

@@ -1,5 +1,6 @@
 // The rig as it is now: rail, cylinder with stroke and ends, brake, drive, rope at its angle x20, spring, payload.
 const TIMES = 20, MOST_DEG = 38; // of the drawing; beyond it the angle is only told
+const FLOOR = 396, LOAD_HIGH = 46, HANGS = 148; // lower end of the rope and spring
 const TOP = 78, TRAVEL = 70, ROD = 150; // cylinder: upper end, drawn travel, rod's end at the lowest stroke
 const PARTS = `
 <rect class="rail" x="30" y="34" width="380" height="14"/>
@@ -17,7 +18,7 @@ const PARTS = `
 <g class="scale"><line x1="120" x2="120" y1="80" y2="150"/><line x1="112" x2="128" y1="80" y2="80"/><line x1="112" x2="128" y1="150" y2="150"/>
 <text id="m-max" x="106" y="85" text-anchor="end"></text><text id="m-min" x="106" y="155" text-anchor="end"></text>
 <path id="m-stroke" d="M122 0 l12 -7 v14 z"/><text id="m-stroke-text" x="106" y="0" text-anchor="end"></text></g>
-<g id="m-hang"><path id="m-rope" class="rope"/><path id="m-spring" class="spring"/><rect id="m-load" class="load" x="-48" y="166" width="96" height="46"/><text id="m-load-text" x="0" y="195" text-anchor="middle">payload</text></g>
+<g id="m-hang"><path id="m-rope" class="rope"/><path id="m-spring" class="spring"/><rect id="m-load" class="load" x="-48" y="148" width="96" height="46"/><text id="m-load-text" x="0" y="177" text-anchor="middle">payload</text></g>
 <line class="plumb" x1="210" x2="210" y1="160" y2="396"/>
 <text id="m-tension" x="286" y="196"></text><text id="m-pull" class="label" x="286" y="215"></text>
 <text id="m-angle" x="286" y="248"></text><text id="m-drawn" class="label" x="286" y="267"></text>`;
@@ -69,10 +70,13 @@ export class Mimic {
     const sure = typeof tension === "number" && !("tension" in doubts), angleSure = typeof angle === "number" && !("inclination" in doubts);
     const drawn = angleSure ? Math.min(Math.max(TIMES * angle, -MOST_DEG), MOST_DEG) : 0;
     const slack = sure && tension < 2;
-    set(part.hang, { transform: `translate(210 ${end}) rotate(${-drawn})` });
-    set(part.rope, { d: slack ? "M0 0 q9 12 0 24 t0 24 t0 24 t0 24" : "M0 0 V96", class: sure ? (slack ? "rope slack" : "rope") : "rope unknown" });
-    const zig = Array.from({ length: 8 }, (_, i) => `L${i % 2 ? -9 : 9} ${102 + 7 * i}`).join(" ");
-    set(part.spring, { d: `M0 96 ${zig} L0 160 V166`, class: sure ? "spring" : "spring unknown" });
+    set(part.hang, { transform: `translate(210 ${end}) rotate(${slack ? 0 : -drawn})` });
+    const top = slack ? FLOOR - end - LOAD_HIGH : HANGS; // a slack rope holds nothing: the payload is on the floor
+    set(part.load, { y: top });
+    set(part["load-text"], { y: top + 29 });
+    set(part.rope, { d: slack ? "M0 0 q9 10 0 20 t0 20 t0 20 t0 20" : "M0 0 V80", class: sure ? (slack ? "rope slack" : "rope") : "rope unknown" });
+    const zig = Array.from({ length: 8 }, (_, i) => `L${i % 2 ? -9 : 9} ${86 + 7 * i}`).join(" ");
+    set(part.spring, { d: `M0 80 ${zig} L0 142 V${top}`, class: sure ? "spring" : "spring unknown" });
     set(part.tension, { class: sure || typeof tension !== "number" ? "" : "doubtful" });
     text(part.tension, typeof tension === "number" ? `${Math.abs(tension) < 0.05 ? "0.0" : tension.toFixed(1)} N` : "tension ?");
     text(part.pull, sure ? (slack ? "rope slack" : "in the rope") : "not to be trusted");

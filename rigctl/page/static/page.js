@@ -89,9 +89,11 @@ function see(view) {
   for (const area of document.querySelectorAll("main > section")) area.hidden = !area.classList.contains(`of-${view}`);
   for (const button of byId("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
   strips.resize();
+  alarms.count();
   histogram.draw();
   polarDrawn = drawn = 0;
   panel.fit();
+  alarms.count();
 }
 
 function show(message) {
@@ -120,10 +122,11 @@ function blame() {
   return state.why || "the loop writes no records";
 }
 
-// The age shown is that of the oldest measurement; without data at all the instructions stay, the measurements go grey.
+// The age shown is that of the newest record, and of the device whose sample is old; without data at all the
+// instructions stay, the measurements go grey.
 function look() {
-  const age = ageS(), stale = age > STALE_S, shown = age + (state?.oldest_ms ?? 0) / 1000;
-  byId("age").textContent = Number.isFinite(shown) ? `${shown < 10 ? shown.toFixed(1) : shown.toFixed(0)} s old` : "-";
+  const age = ageS(), stale = age > STALE_S, device = age + (state?.oldest?.age_ms ?? 0) / 1000;
+  set("age", Number.isFinite(age) ? `${seconds(age)} s old${device > age + STALE_S ? `, ${state.oldest.name} ${seconds(device)} s` : ""}` : "-");
   document.body.classList.toggle("stale", stale);
   byId("entry-box").classList.toggle("unknown", stale);
   if (!stale) return;
@@ -134,6 +137,7 @@ function look() {
   set("entry", "KEEP OUT");
   set("entry-why", "what the rig does is not known");
   byId("entry-box").dataset.entry = "KEEP OUT";
+  byId("entry-box").classList.remove("unheld");
   if (!session.reads) return panel.steps([{ text: "Open a link of rigctl page (rigctl page --link prints one).", verb: "" }]);
   panel.steps([
     { text: "Keep out of the hall.", verb: "" },
@@ -142,6 +146,8 @@ function look() {
   ]);
   panel.fit();
 }
+
+const seconds = (value) => value.toFixed(value < 10 ? 1 : 0);
 
 function set(id, text) {
   if (byId(id).textContent !== text) byId(id).textContent = text;
@@ -173,6 +179,7 @@ strips.onView = () => (drawn = 0);
 strips.tools();
 for (const button of byId("views").querySelectorAll("button")) button.addEventListener("click", () => see(button.dataset.view));
 see("rig");
+matchMedia("(max-width: 1200px)").addEventListener("change", ({ matches }) => !matches && document.querySelector("main").dataset.view === "drawing" && see("rig"));
 setInterval(look, 200);
 requestAnimationFrame(animate);
 

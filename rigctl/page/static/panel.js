@@ -48,22 +48,23 @@ export class Panel {
 
   // One place and one size: what is named first, what follows from it, and numbered steps.
   banner(state) {
-    const { parts, text, value, limit, since_ms, follows, active, priority, blocks, does, entry, entry_why } = state.answers;
+    const { parts, text, value, limit, since_ms, follows, active, priority, blocks, does, entry, entry_why, unheld } = state.answers;
     set(byId("does"), does ? `now: ${does}` : "");
     set(byId("entry"), entry);
     set(byId("entry-why"), entry_why);
     byId("entry-box").dataset.entry = entry;
+    byId("entry-box").classList.toggle("unheld", unheld);
     const named = parts.length > 0;
     byId("banner").dataset.tone = named ? "fault" : "calm";
     set(byId("cause-caption"), named ? `cause${priority ? ` · priority ${priority}` : ""} · ${active ? "active" : "cleared, latched until RESET"}` : "cause");
-    set(byId("cause"), named ? parts.map((part) => part.toUpperCase()).join(" / ") : "none");
+    set(byId("cause"), parts.map((part) => part.toUpperCase()).join(" / "));
     const facts = [text];
     if (value || limit) facts.push(`value ${value || "-"}, limit ${limit || "-"}`);
     if (since_ms !== null) facts.push(`since ${clock(since_ms)} (${duration(state.server_wall_ms - since_ms)})`);
     const lines = [facts.filter(Boolean).join(" · ")];
     if (blocks) lines.push(/^nothing/.test(blocks) ? `RESET is blocked by ${blocks.replace(": RESET is accepted", "")}` : `RESET is blocked by ${few(blocks)}`);
     if (follows.length) lines.push(`+${follows.length} that follow: ${few(follows.join(", "))}`);
-    if (!named) lines[0] = text || "no fault is latched";
+    if (!named) lines[0] = text;
     set(byId("cause-text"), lines.filter(Boolean).join("\n"));
     if (!document.body.classList.contains("stale")) this.steps(state.answers.steps);
   }
@@ -93,8 +94,8 @@ export class Panel {
 
   numbers(state, values) {
     const doubts = state.doubts ?? {}, regulated = REGULATED.includes(state.mode);
-    const { vertical_n } = values, there = typeof vertical_n === "number", words = there ? vertical_n.toFixed(2) : "-";
-    this.value(byId("vertical"), words === "-0.00" ? "0.00" : words, there ? doubts.tension : undefined);
+    const { vertical_n } = values, there = typeof vertical_n === "number", words = there ? newtons(vertical_n) : "-";
+    this.value(byId("vertical"), words, there ? doubts.tension : undefined);
     const known = !("tension" in doubts), compensating = known && typeof values.error_n === "number";
     const outside = compensating && !state.ramping && values.error_pct > this.bandPct;
     byId("vertical").closest(".tension").classList.toggle("outside", outside);
@@ -155,6 +156,9 @@ export class Panel {
   }
 }
 
+// Of an unloaded cell the noise is not shown.
+const UNLOADED_N = 0.5;
+const newtons = (value) => (Math.abs(value) < UNLOADED_N ? "0" : value.toFixed(2));
 const clock = (ms) => new Date(ms).toLocaleTimeString([], { hour12: false });
 const age = (ms) => (ms < 1000 ? `${ms.toFixed(0)} ms old` : `${(ms / 1000).toFixed(1)} s old`);
 
