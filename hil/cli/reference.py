@@ -12,25 +12,24 @@ import sys
 from typing import Any
 
 from hil.scenario.format import Scenario
+from rigctl.config import bounds, rig_file
 from rigctl.config.settings import ADDED, RigSettings
 
 Node = dict[str, Any]
 PAGE = "docs/rig-file.md"
 _HEAD = """# Keys of rig file and scenario file
 
-Generated from the settings by `python -m hil.cli.reference .`; do not edit. Every key that is not listed is refused.
-A key without a default has to be there.
+Generated from the settings by `python -m hil.cli.reference .`; do not edit. Every key that is not listed is refused. A
+key without a default is required. Units are in the names. `rigctl check FILE` finds more: values that are valid alone
+but not together, and settings beyond their [bounds](#bounds).
 
-An editor with a YAML language server completes and checks the keys when the first line of a file names its schema, as
-the rig files and scenarios shipped do, and those that `python -m hil new rig` makes. The schemas are in `config/schema`
-of a checkout and in `share/rigctl/config/schema` of an installation:
+An editor with a YAML language server completes and checks the keys when the first line names the schema
+(`config/schema` of a checkout, `share/rigctl/config/schema` of an installation):
 
 ```text
 # yaml-language-server: $schema=schema/rig.schema.json
 # yaml-language-server: $schema=../schema/scenario.schema.json
 ```
-
-`rigctl check FILE` finds more: values that are valid alone but not together.
 """
 _BOUNDS = (
     ("minimum", "from {}"), ("exclusiveMinimum", "above {}"), ("maximum", "to {}"), ("exclusiveMaximum", "below {}"),
@@ -60,7 +59,9 @@ def scenario_schema() -> Node:
 def documents() -> dict[str, str]:
     """Every generated file, by its path below the root."""
     rig, scenario = rig_schema(), scenario_schema()
-    page = [_HEAD, "## Rig file\n", *_sections(rig, rig, ""), "## Scenario file\n", *_sections(scenario, scenario, "")]
+    limits = bounds.section(rig_file.load(rig_file.shipped("paper_rig.yaml")))
+    page = [_HEAD, limits, "## Rig file\n", *_sections(rig, rig, ""), "## Scenario file\n",
+            *_sections(scenario, scenario, "")]  # fmt: skip
     return {
         "config/schema/rig.schema.json": json.dumps(rig, indent=2) + "\n",
         "config/schema/scenario.schema.json": json.dumps(scenario, indent=2) + "\n",

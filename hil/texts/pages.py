@@ -15,7 +15,6 @@ import rigctl.page
 from hil.faults import processes
 from hil.faults.catalogue import CATALOGUE
 from hil.faults.fault_tables import page_row
-from rigctl.config import bounds
 from rigctl.config.settings import RigSettings
 from rigctl.control import diagram
 from rigctl.wire.schema import schema
@@ -29,7 +28,6 @@ def pages(rig: RigSettings) -> dict[str, str]:
     rows = "\n".join([*map(page_row, CATALOGUE), *map(page_row, processes.CATALOGUE)])
     made = {
         "page docs/modes.md": diagram.document(),
-        "page docs/bounds.md": bounds.document(rig),
         "page docs/faults.md, its table": rows,
         "schema meta/schema": json.dumps(schema(rig.rig), indent=2),
     }

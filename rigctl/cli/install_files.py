@@ -27,7 +27,7 @@ TMPFILES = pathlib.PurePosixPath("etc/tmpfiles.d")
 SETTINGS = pathlib.PurePosixPath(*layout.SETTINGS.parts[1:])
 OTHERS = {"init.scope": "Scope", "system.slice": "Slice", "user.slice": "Slice", "machine.slice": "Slice"}
 """Units that hold everything but the rig daemons, and the section of each that limits its processors."""
-TXQUEUELEN = 10  # docs/can.md: five ticks of SYNC and command; a frame that waits longer is a stale command
+TXQUEUELEN = 10  # docs/install.md: five ticks of SYNC and command; a frame that waits longer is a stale command
 CARRIER_S = 30
 STOP_SPARE_S = 30
 """For what ends after the loop: ``TimeoutStopSec`` is the loop's limit (`rigctl.control.power.ending`) and this."""

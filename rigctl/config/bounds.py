@@ -213,8 +213,8 @@ BOUNDS: tuple[Bound, ...] = (
 )  # fmt: skip
 
 
-def document(settings: RigSettings) -> str:
-    """The page docs/bounds.md: every bound, its value for ``settings``, and why."""
+def section(settings: RigSettings) -> str:
+    """The bounds of docs/rig-file.md: every bound, its value for ``settings``, and why."""
     figures = _Figures(settings)
     rows = [
         f"| `{bound.key}` | {'at least' if bound.least else 'at most'} {bound.shown(bound.limit(figures)):g} "
@@ -230,18 +230,15 @@ def document(settings: RigSettings) -> str:
 
 
 _PAGE = """\
-# Bounds of the settings that a protection hangs on
-
-Generated from the tables of the code: `python -m rigctl.config.bounds_page FILE > docs/bounds.md`.
+## Bounds
 
 A value may be fine by its type and still disarm a protection. A rig file with a setting beyond its bound is refused,
-`FILE:LINE: key: found X, expected Y (reason)`; `safety.waiver: "why"` lets it run all the same, and `rigctl check` and
-`rigctl run` then say what is waived. A waiver is for what carries no load: a study without a spring, a simulated rig on
-a machine that pauses. Scenarios of `python -m hil scenario` are such studies and need none.
+`FILE:LINE: key: found X, expected Y (reason)`. `safety.waiver: "why"` lets it run, and `rigctl check` and `rigctl run`
+then print what is waived: for a rig that carries no load, as a study. Scenarios need no waiver.
 
-What is allowed follows from the rig file itself: how far the stroke goes at `tension.speed_max_mm_s` before a loss is
-noticed and until it stands, and what the spring (`plant`) makes of that in newtons. The figures below are those of
-`{rig}`; `rigctl check FILE` prints, for its rig:
+A bound follows from the rig file: how far the stroke goes at `tension.speed_max_mm_s` before a loss is noticed and
+until it is at rest, and what the spring makes of that in newtons. The figures are those of `{rig}`; `rigctl check FILE`
+prints for its rig:
 
 > {stop}
 
@@ -250,22 +247,17 @@ noticed and until it stands, and what the spring (`plant`) makes of that in newt
 """
 _END = """
 
-Rows of `limits` that act (all but `log`) may wait 1 s for a signal of rope or stroke and 60 s for any other, and must
-lie within what the sensor reads (1.2 times `tension_cell.range_n`, `inclinometer.range_deg`).
+Rows of `limits` that act (all but `log`) may wait 1 s for a signal of rope or stroke and 60 s for any other, and lie
+within what the sensor reads (1.2 times `tension_cell.range_n`, `inclinometer.range_deg`).
 
-Bounds that hold by themselves, whatever the rest says: `safety.tension_high_n` within the cell's range and above
-`tension.target_max_n`; `safety.tension_low_n` below `tension.target_min_n`; `calibration.tare_limit_n` below
-`safety.tension_low_n`; `safety.stale_ms` two loop periods or more; `estimator.gate_sigma` 3 to 10;
-`cylinder.status_rate_hz` 5 Hz or more; `cylinder.heartbeat_timeout_ms` twice `can.heartbeat_ms` or more.
+Always: `safety.tension_high_n` within the cell's range and above `tension.target_max_n`; `safety.tension_low_n` below
+`tension.target_min_n`; `calibration.tare_limit_n` below `safety.tension_low_n`; `safety.stale_ms` two loop periods or
+more; `estimator.gate_sigma` 3 to 10; `cylinder.status_rate_hz` 5 Hz or more; `cylinder.heartbeat_timeout_ms` twice
+`can.heartbeat_ms` or more. The stiffness found in the first tensioning after a start is within the assumed family of
+plants, {least:.2f} to {most:.2f} N/mm on `{rig}`, or SIGN_CELL ends the tensioning.
 
-The first tensioning after a start finds the stiffness from stroke and tension. It must be one that the assumed family
-of plants has, {least:.2f} to {most:.2f} N/mm on `{rig}`: spring and rope +-20 %, the mechanism rigid to 6 N/mm, and
-15 % that 15 N of tension show wrongly; never below a third of the file's. Beyond it lengths or forces are not those of
-the rig file, and SIGN_CELL ends the tensioning.
-
-Not bounded by physics, because no protection hangs on it: `cylinder.stroke_min_mm` and `stroke_max_mm` (the cylinder's
-own; its end stops are further out), `preflight.stroke_margin_mm` (the law itself brakes before an end),
-`tension.ramp_n_s` (its speed is within `tension.speed_max_mm_s`), the weights under `design` (judged by their margins).
+No protection hangs on `cylinder.stroke_min_mm` and `stroke_max_mm`, `preflight.stroke_margin_mm`, `tension.ramp_n_s`
+and the weights under `design`.
 """
 
 

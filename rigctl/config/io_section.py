@@ -14,8 +14,8 @@ class IoSettings(CanopenDevice):
     """Generic I/O node, CiA 401, that mirrors the emergency stop's contact. The rig runs without one.
 
     The node sends on a change of an input and by its event timer, so that its silence is detected. An output of it may
-    be wired to the drive's input for safe torque off (IEC 61800-5-2: STO): the last resort against a drive that obeys
-    nothing on the bus. The node drops it by itself when it loses our heartbeat.
+    be wired to the drive's input for safe torque off (IEC 61800-5-2: STO): the last resort against a drive that no
+    command on the bus stops. The node drops it by itself when it loses the daemon's heartbeat.
     """
 
     node: int = Field(default=6, ge=1, le=127, description="CANopen node id")

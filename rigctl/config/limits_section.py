@@ -17,7 +17,7 @@ else:
 
 
 class LimitSettings(Settings):
-    """One limit. All but ``log`` latch a fault; ``power_off`` stops first, if the drive obeys."""
+    """One limit. All but ``log`` latch a fault; ``power_off`` stops first, if the drive follows commands."""
 
     signal: SignalName
     low: float | None = Field(default=None, description="lowest value allowed")

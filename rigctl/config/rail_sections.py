@@ -17,7 +17,7 @@ class RailEncoderSettings(CanopenDevice):
 
 
 class RunOutSettings(Settings):
-    """Table of the rail's run-out against its angle, learnt move by move. Needs `rail_encoder`."""
+    """Table of the rail's run-out against its angle, learned move by move. Needs `rail_encoder`."""
 
     angle_min_deg: float = Field(ge=-360, le=360, description="where the table begins, as the encoder counts")
     angle_max_deg: float = Field(ge=-360, le=360, description="where it ends")

@@ -67,7 +67,7 @@ class LoopSettings(Settings):
 
 
 class LearningSettings(Settings):
-    """Feed-forward learnt from one marked move to the next (`rigctl move N`). Without the section nothing is learnt."""
+    """Feed-forward learned from one marked move to the next (`rigctl move N`); none without the section."""
 
     move_s: float = Field(ge=3, le=120, description="longest move, from its mark on; what comes later is not learnt")
     moves: int = Field(default=2, ge=1, le=16, description="moves told apart by their numbers, from 1")

@@ -20,24 +20,19 @@ from rigctl.model.verbs import OFF_LIMIT_NS, Refusal, Verb
 _HEAD = f"""\
 # Modes
 
-Generated from the tables of `rigctl/control/modes.py`, `stage.py` and `escalation.py` by
-`python -m rigctl.control.diagram`; a test holds this file to it.
+Generated from the tables of `rigctl/control/modes.py`, `stage.py` and `escalation.py` by `python -m
+rigctl.control.diagram`; a test holds this file to it.
 
-Every change of mode is an event that names both modes, what caused it, and how many commands of no speed went out in a
-row before it. {SAFE_FRAMES} such safe frames are sent before the drive is switched on, and as many, at standstill,
-before it is switched off.
+Every change of mode is an event with both modes, its cause, and how many commands of no speed went out in a row before
+it: {SAFE_FRAMES} such safe frames are sent before the drive is switched on, and as many before it is switched off.
 
-A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began: whatever ends it
-(slack, hold, stop, a stronger trip) ends in FAULT. Only `reset` leaves FAULT, once its cause is gone; `lower`, or
-`release` while the motor carries the load, leaves it for as long as the motor lowers the load.
+A trip latches the first fault. RELEASING with a fault latched is a ramp down that a limit began, and ends in FAULT.
+Only `reset` leaves FAULT, once its cause is gone; `lower`, or `release` while the motor carries the load, leaves it for
+as long as the motor lowers the load.
 
-`reset` leads to HOLD only if
-
-- the rig was armed, and FAULT has parked it, the load on the brake,
-- the drive was in no fault of its own, and has not gone off by itself, and
-- neither an emergency stop, `quick_stop`, `power_off` nor `silence`, nor `disarm`, has come since.
-
-Else it leads to DISARMED, so that a whole arming with its brake test follows.
+`reset` leads to HOLD only if the rig was armed, FAULT has parked it, the drive was in no fault of its own and has not
+gone off by itself, and neither an emergency stop, `quick_stop`, `power_off` nor `silence`, nor `disarm`, has come
+since. Else it leads to DISARMED, so that a whole arming with its brake test follows.
 """
 _EVENTS = {
     Event.ENABLED: "drive enabled after `arm`",
@@ -72,8 +67,8 @@ _STAGES = """
 
 One machine, whatever the mode, in the words of IEC 61800-5-2: STO (safe torque off), SS1 (safe stop 1), SOS (safe
 operating stop), SBC (safe brake control) and SBT (safe brake test). A command that needs the motor waits in PREPARE,
-ENABLE or RESET; where it is refused or aborted, or a trip ends it, the stage is again the one before, without an arrow
-here. Only ENABLE switches a drive on.
+ENABLE or RESET; where it is refused, aborted or tripped the stage is again the one before, without an arrow here. Only
+ENABLE switches a drive on.
 """
 _ROWS_HEAD = """
 What ends the wait of a command, and the motor's hold, in order:
@@ -81,21 +76,39 @@ What ends the wait of a command, and the motor's hold, in order:
 | stage | when | then | answer |
 |---|---|---|---|
 """
-_OVER_TIME = f"""
-Who holds the load over time:
+WAYS = {
+    "parking, `disarm`, end": (
+        (DriveStage.STOP, "the motor", f"until the stroke is at rest, at most {STOP_LIMIT_NS * 1e-9:g} s"),
+        (DriveStage.STOP, "the motor", "until the brake has closed"),
+        (DriveStage.OFF, "the brake", ""),
+    ),
+    "`quick_stop`": (
+        (DriveStage.QUICK, "the motor", "on the drive's own ramp"),
+        (DriveStage.QUICK, "the motor", "until the drive has closed its brake"),
+        (DriveStage.QUICK, "the brake", ""),
+    ),
+    "`power_off`": (
+        (DriveStage.QUICK, "the motor", "on the drive's own ramp, for the longest stop of the rig"),
+        (DriveStage.CUT, "nothing", "no torque, until the brake has closed"),
+        (DriveStage.CUT, "the brake", ""),
+    ),
+    "`silence`": (
+        (DriveStage.SILENT, "the motor", "power cut by SDO, NMT stop"),
+        (DriveStage.SILENT, "the motor", f"on the drive's own supervision, at most {SUPERVISED_NS * 1e-9:g} s"),
+        (DriveStage.SILENT, "the brake", ""),
+    ),
+    "taking back, `arm`": (
+        (DriveStage.PREPARE, "the brake", f"at most {AWAIT_NS * 1e-9:g} s, or its test"),
+        (DriveStage.ENABLE, "the motor", f"the brake opens once it has torque, at most {ARM_LIMIT_NS * 1e-9:g} s"),
+        (DriveStage.RUN, "the motor", ""),
+    ),
+}
+"""Who holds the load over time: for each way the stage, who holds it, and how long or how."""
+_OVER_TIME = """
+![Who holds the load over time](pictures/load.svg)
 
-| way | first | then | at last |
-|---|---|---|---|
-| parking, `disarm`, end | STOP: the motor, until the stroke is at rest, at most {STOP_LIMIT_NS * 1e-9:g} s | STOP: \
-the brake closes, the motor holds until it has | OFF: the brake |
-| `quick_stop` | QUICK: the motor, on the drive's own ramp | QUICK: the drive closes its brake | QUICK: the brake |
-| `power_off` | QUICK: the motor, on the drive's own ramp, for the longest stop of the rig: \
-`tension.speed_max_mm_s` over `cylinder.stop_deceleration_mm_s2`, and two lags | \
-CUT: no torque, the brake closes | CUT: the brake |
-| `silence` | SILENT: power cut by SDO, NMT stop | SILENT: the drive's own supervision, for \
-{SUPERVISED_NS * 1e-9:g} s at most | SILENT: the brake |
-| taking back, `arm` | PREPARE: the brake, at most {AWAIT_NS * 1e-9:g} s, or its test | ENABLE: the brake opens once \
-the motor has torque, at most {ARM_LIMIT_NS * 1e-9:g} s | RUN: the motor |
+Who holds the load over time (`python -m rigctl.control.load_picture > docs/pictures/load.svg`). The longest stop of the
+rig is `tension.speed_max_mm_s` over `cylinder.stop_deceleration_mm_s2`, and two lags.
 """
 _HOLDS = {
     DriveStage.OFF: "the brake",
@@ -156,18 +169,18 @@ def document() -> str:
         for (mode, event), transition in TRANSITIONS.items()
         if mode is not transition.after
     ]
-    parts += ["```", "", "## Guards", ""]
+    parts += ["```", "", "## Guards", "", "| guard | met when |", "|---|---|"]
     guards = {transition.guard for transition in TRANSITIONS.values()} | set(WITHOUT_EVENT.values())
     named = sorted((guard for guard in guards if guard is not None), key=lambda guard: guard.__name__)
-    parts += [f"- `{guard.__name__}`: {_said(guard)}" for guard in named]
+    parts += [f"| `{guard.__name__}` | {_said(guard)} |" for guard in named]
     parts += ["", "## Commands", "", *_LEGEND, "| command | " + " | ".join(mode.name for mode in Mode) + " |"]
     parts += ["|---" * (len(Mode) + 1) + "|"]
     parts += [
         f"| `{verb.name.lower().replace('_', '-')}` | " + " | ".join(_cell(mode, verb) for mode in Mode) + " |"
         for verb in Verb
     ]
-    parts += ["", "## Actions of the safety table, the weakest first", ""]
-    parts += [f"- `{action.name.lower()}`: {_ACTIONS[action]}" for action in Action]
+    parts += ["", "## Actions of the safety table, the weakest first", "", "| action | what it does |", "|---|---|"]
+    parts += [f"| `{action.name.lower()}` | {_ACTIONS[action]} |" for action in Action]
     steps = [f"| `{step.action.name.lower()}` | {step.shows} | {_next(step.after)} | {step.why} |" for step in STEPS]
     return "\n".join(parts) + "\n" + _stages() + _PARKED + _ESCALATION + "\n".join(steps) + "\n"
 
@@ -179,7 +192,8 @@ def _stages() -> str:
         arrows.setdefault((stage, after), []).append(input_.value)
     parts = [_STAGES, "```mermaid", "stateDiagram-v2", f"    [*] --> {Sequence().stage.name}"]
     parts += [
-        f"    {one.name} --> {to.name}: {', or '.join(why).replace('`', '')}" for (one, to), why in arrows.items()
+        f"    {one.name} --> {to.name}: {', or '.join(why).replace('`', '').replace(':', ',')}"
+        for (one, to), why in arrows.items()
     ]
     parts += [f"    {DriveStage.SILENT.name} --> [*]: reset, start-up brings all devices up again"]
     parts += ["```", "", "| stage | meaning | the load is held by |", "|---|---|---|"]

@@ -21,10 +21,12 @@ _COMMAND = re.compile(r"\brigctl [a-z]+(?:-[a-z]+)*(?: MM)?|\b(?:safety|cylinder
 def document() -> str:
     """The page: a row for each fault, by name."""
     faults = sorted((fault for fault in Fault if fault is not Fault.NONE), key=lambda fault: fault.name)
-    return _HEAD + "".join(
-        f"| `{fault.name}` | {fault.meaning} | {_COMMAND.sub(lambda found: f'`{found[0]}`', fault.remedy)} |\n"
-        for fault in faults
-    )
+    return _HEAD + "".join(f"| `{fault.name}` | {fault.meaning} | {marked(fault.remedy)} |\n" for fault in faults)
+
+
+def marked(words: str) -> str:
+    """Words of the catalogue with the commands and keys in them as code."""
+    return _COMMAND.sub(lambda found: f"`{found[0]}`", words)
 
 
 if __name__ == "__main__":

@@ -15,25 +15,21 @@ MISSING = "**not argued**"
 _HEAD = """\
 # Mutation testing
 
-`make mutation` changes the modes, the safety table and the tension law in one place at a time and runs their unit
-tests against each; of the other packages of the loop and its neighbours it takes a sample. The operators are those of
-[Cosmic Ray](https://cosmic-ray.readthedocs.io) (numbers by one, comparisons, arithmetic, conditions, decorators), and
-two more: a member of an enumeration becomes the next one, which is what can go wrong in a table, and a statement that
-only has an effect is left out. The tree itself is not touched.
-It fails below 90 % killed in a module, below 85 % in the sample, or when a survivor has no argument here.
+`make mutation` changes the modes, the safety table and the tension law in one place at a time and runs their unit tests
+against each; of the other packages of the loop it takes a sample. The operators are those of [Cosmic
+Ray](https://cosmic-ray.readthedocs.io), and two more: a member of an enumeration becomes the next one, and a statement
+that only has an effect is left out. The tree itself is not touched. It fails below 90 % killed in a module, below 85 %
+in the sample, or when a survivor has no argument here.
 
 The sample is the same every time: 300 places of `control` (but for these three modules), `devices`, `ipc`, `gateway`,
-`recorder`, `commission` and `hil/nodes`, chosen by a hash of function, operator and text of the line, so that moved
-lines and renamed modules leave it as it is. A number becomes another that would be wrong (one more or less where it is
-small, else ten times as much or a third), and no comparison becomes one by identity. The tests of `tests/unit` and
-`tests/loop` are run once to find out which executes which line; a mutant then meets those that execute its own, or for
-a constant the lines that use it, 40 s of tests at most (`--seconds`), the likeliest first. A mutant that only real
-processes execute meets the tests of `tests/live` of its package, last and alone; with `--no-live` it counts as a
-survivor. `results/mutation/sample.json` says which test killed which mutant; `python -m tests.mutation sample --again`
-runs only those that survived, `--package rigctl/control` those of one package.
+`recorder`, `commission` and `hil/nodes`, chosen by a hash of function, operator and text of the line. A mutant meets
+the tests of `tests/unit` and `tests/loop` that execute its line, 40 s of tests at most (`--seconds`), the likeliest
+first; one that only real processes execute meets `tests/live` (`--no-live`: it counts as a survivor).
+`results/mutation/sample.json` names the test that killed each; `python -m tests.mutation sample --again` runs only
+those that survived, `--package rigctl/control` those of one package.
 
-To refresh: `python -m tests.mutation --write` writes this page anew and keeps the arguments of survivors that are
-still there; write one for each that says "not argued", or better a test that kills it.
+To refresh: `python -m tests.mutation --write` writes this page and keeps the arguments of survivors that are still
+there; write one for each that says "not argued", or better a test that kills it.
 
 | module | mutants | killed | score |
 |---|---|---|---|

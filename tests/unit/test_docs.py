@@ -22,14 +22,19 @@ from typing import Any
 import pytest
 import typer
 import yaml
+from PIL import Image
 
 from hil.__main__ import app as hil_app
 from rigctl.cli import typer_app
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
+from rigctl.control.modes import TRANSITIONS
 from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model import fault_page
 from rigctl.model.faults import Fault
+from rigctl.model.states import Mode
+from rigctl.wire import fault_card
+from tests import page_parts
 from tests.builders.paths import ROOT
 
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
@@ -49,7 +54,21 @@ KINDS = frozenset({
 })  # fmt: skip
 PROGRAMS = frozenset({"rigctl", "python", "make", "ip", "apt", "systemctl", ".venv/bin/python"})
 """Words that a command in a block may begin with."""
-README_LINES = 150
+README_LINES = 80
+"""Two screens."""
+START_WORDS = 2500
+CARD_WORDS = 900
+"""Two printed pages."""
+ALL_WORDS = 35_000
+"""Of README and docs/ without the decisions and the rows of generated tables."""
+DOORS = {"operate": "operate.md", "install": "install.md", "develop": "architecture.md"}
+GENERATED = {"modes.md", "fault-list.md", "fault-card.md", "rig-file.md", "mutation.md"}
+"""Pages whose tables a command writes; of docs/faults.md it is the catalogue's."""
+PLAIN = re.compile(
+    r"\b(anew|ours|nobody|stands|judged|judges?|heard|learnt|knows|believed|believes|witness|rivals?|obeys?|he|his|him"
+    r"|untold|asked)\b"
+)
+"""Words that are replaced by the field's noun. ``ours`` in code is the name of a law."""
 PICTURE_BYTES = 150_000
 GROUPS: dict[str, Any] = {"rigctl": typer.main.get_command(typer_app.program()), "hil": typer.main.get_group(hil_app)}
 PATH = re.compile(r"(?:rigctl|hil|tests|config|docs)(?:/[\w.-]+)+/?|(?:rigctl|hil|tests|config|docs)/")
@@ -310,9 +329,76 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= README_LINES
 
 
-def test_the_readme_leads_to_every_page() -> None:
-    linked = set(re.findall(r"\]\((docs/[\w-]+\.md)", (ROOT / "README.md").read_text()))
-    assert linked == {name_of(page) for page in PAGES if page.parent != ROOT}
+def leads_to(page: pathlib.Path) -> set[pathlib.Path]:
+    """Pages of docs/ that a page links."""
+    found = {(page.parent / link).resolve() for link in re.findall(r"\]\(([\w./-]+\.md)", split(page)[1])}
+    return {there for there in found if there.parent == ROOT / "docs"}
+
+
+def test_the_readme_leads_to_every_page_through_a_door() -> None:
+    doors = {ROOT / "docs" / page for page in DOORS.values()}
+    readme = leads_to(ROOT / "README.md")
+    assert doors <= readme
+    behind = set().union(*map(leads_to, doors))
+    assert readme | behind == {page for page in PAGES if page.parent != ROOT}
+
+
+def prose(page: pathlib.Path) -> Iterator[str]:
+    """Lines of a page without its blocks and the rows of generated tables."""
+    catalogue = False
+    for line in split(page)[1].splitlines():
+        catalogue = line.startswith("|") and (catalogue or line.startswith("| id | place |"))
+        if not catalogue and not (line.startswith("|") and page.name in GENERATED):
+            yield line
+
+
+def test_the_documentation_stays_short() -> None:
+    counted = [ROOT / "README.md", *(page for page in ROOT.glob("docs/*.md") if page.name != "decisions.md")]
+    by_page = {name_of(page): words("\n".join(prose(page))) for page in counted}
+    assert sum(by_page.values()) <= ALL_WORDS, by_page
+    assert by_page["docs/operate.md"] <= START_WORDS
+
+
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if page.name not in ("decisions.md", "CHANGELOG.md")], ids=name_of
+)
+def test_words_are_the_fields(page: pathlib.Path) -> None:
+    text = re.sub(r"`[^`]*`", "", "\n".join(prose(page)))
+    assert not PLAIN.findall(text)
+
+
+@pytest.mark.parametrize("parts", [page_parts.PARTS])
+def test_the_start_page_names_every_numbered_part(parts: dict[str, tuple[int, int]]) -> None:
+    page = (ROOT / "docs/operate.md").read_text()
+    named = re.findall(r"^\| (\d+) ([^|]+?) \|", page, re.MULTILINE)
+    assert [int(number) for number, _ in named] == list(range(1, len(parts) + 1))
+    assert all(name.startswith(part) for (_, name), part in zip(named, parts, strict=True))
+    folder = ROOT / "docs/pictures"
+    with Image.open(folder / page_parts.OVER) as kept:
+        kept_pixels = kept.convert("RGB").tobytes()
+    assert kept_pixels == page_parts.drawn(folder / page_parts.UNDER).convert("RGB").tobytes(), (
+        "run `python -m tests.page_parts docs/pictures`"
+    )
+
+
+def arrows(page: pathlib.Path) -> list[tuple[str, str, str]]:
+    """From, to and words of the arrows in a page's pictures."""
+    pictures = "".join(block.text for block in split(page)[0] if block.info == "mermaid")
+    return re.findall(r"^ +(\w+) --> (\w+): (.+)$", pictures, re.MULTILINE)
+
+
+def test_the_modes_of_the_start_page_are_those_of_the_table() -> None:
+    changes = {(mode.name, transition.after.name) for (mode, _), transition in TRANSITIONS.items()}
+    found = {(before, after) for before, after, _ in arrows(ROOT / "docs/operate.md")}
+    assert found <= changes
+    assert {name for pair in found for name in pair} == {mode.name for mode in Mode}
+
+
+def test_the_processes_are_drawn_with_every_ring() -> None:
+    table = re.findall(r"^\| `(\w+)` \| (\w+) \|", ARCHITECTURE.read_text(), re.MULTILINE)
+    rings = {name: writer for name, writer in table if writer in ("control", "gateway", "supervisor")}
+    drawn = {(ring, before) for before, _, said in arrows(ARCHITECTURE) for ring in said.split(", ") if ring in rings}
+    assert drawn == set(rings.items())
 
 
 def layers() -> dict[str, list[str]]:
@@ -358,6 +444,26 @@ def test_the_operator_reads_about_every_fault() -> None:
     assert page == fault_page.document(), "run `python -m rigctl.model.fault_page > docs/fault-list.md`"
     rows = re.findall(r"^\| `([A-Z_]+)` \| \S.* \| \S.* \|$", page, re.MULTILINE)
     assert sorted(rows) == sorted(fault.name for fault in Fault if fault is not Fault.NONE)
+
+
+def test_the_fault_card_is_that_of_the_catalogue_and_fits_two_pages() -> None:
+    card = (ROOT / "docs/fault-card.md").read_text()
+    assert card == fault_card.document(), "run `python -m rigctl.wire.fault_card > docs/fault-card.md`"
+    assert words(card) <= CARD_WORDS
+    for row in fault_card.SITUATIONS:
+        assert (row.shows or row.causes) and (row.then or row.causes) and row.first and row.entry and row.call
+
+
+def words(text: str) -> int:
+    """Words as `wc -w` counts them, of those that have a letter or a digit."""
+    return sum(bool(re.search(r"\w", word)) for word in text.split())
+
+
+@pytest.mark.parametrize("block", [b for b in BLOCKS if b.info == "mermaid"], ids=lambda block: block.where)
+def test_an_arrow_has_no_sign_that_ends_its_words(block: Block) -> None:
+    """Mermaid ends the words of an arrow at a colon and at a semicolon."""
+    for line in block.text.splitlines():
+        assert not re.search("[:;]", line.partition(": ")[2]), f"{block.where}: {line}"
 
 
 def test_the_glossary_has_a_line_for_each_term() -> None:

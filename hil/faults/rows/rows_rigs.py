@@ -37,7 +37,7 @@ _FAULTS: tuple[tuple[str, str, Injector, Expected], ...] = (
      _EITHER),
 )  # fmt: skip
 _STATED = {"encoder_drifts": (Part.DRIVE,)}
-"""Where it is not the part of the injector; the figures of docs/diagnosis.md count these rows as the drive's."""
+"""Where it is not the part of the injector; the figures of docs/faults.md count these rows as the drive's."""
 
 
 def _rows() -> Iterator[InjectedFault]:

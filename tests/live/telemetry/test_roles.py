@@ -39,9 +39,10 @@ def rows() -> list[tuple[str, str, dict[str, bool]]]:
     table = (ROOT / "docs/security.md").read_text().partition(HEADER)[2].partition("\n\n")[0]
     found = []
     for line in table.splitlines():
-        message, key, *cells = (cell.strip() for cell in line.strip("|").split("|"))
+        message, keys, *cells = (cell.strip() for cell in line.strip("|").split("|"))
         assert set(cells) <= {"yes", "no"} and len(cells) == len(NAMES), line
-        found.append((message, key.strip("`"), {role: cell == "yes" for role, cell in zip(NAMES, cells, strict=True)}))
+        may = {role: cell == "yes" for role, cell in zip(NAMES, cells, strict=True)}
+        found += [(message, key, may) for key in re.findall("`([^`]+)`", keys)]
     return found
 
 

@@ -304,7 +304,7 @@ def test_wrong_usage(in_process: Command, words: tuple[str, ...], said: str) -> 
 
 
 def test_the_queue_is_the_same_wherever_it_is_named() -> None:
-    for file in ("docs/can.md", "config/rig.yaml", "tests/guest/inside/guest_rig.py"):
+    for file in ("docs/install.md", "config/rig.yaml", "tests/guest/inside/guest_rig.py"):
         found = re.findall(r'txqueuelen"?,? "?(\d+)', (ROOT / file).read_text())
         assert found, file
         assert set(found) == {str(doctor_can.QUEUE)}, file

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rigctl.control import diagram
+from rigctl.control import diagram, load_picture
 from rigctl.control.modes import TRANSITIONS
 from rigctl.control.power.stage import ROWS, STAGES
 from tests.builders.paths import ROOT
@@ -12,6 +12,11 @@ PAGE = ROOT / "docs/modes.md"
 
 def test_the_page_is_what_the_tables_give() -> None:
     assert PAGE.read_text() == diagram.document(), "run `python -m rigctl.control.diagram > docs/modes.md`"
+
+
+def test_the_picture_of_who_holds_the_load_is_what_the_table_gives() -> None:
+    picture = (ROOT / "docs/pictures/load.svg").read_text()
+    assert picture == load_picture.document(), "run `python -m rigctl.control.load_picture > docs/pictures/load.svg`"
 
 
 def test_every_transition_between_two_modes_is_an_arrow() -> None:

@@ -264,7 +264,7 @@ def test_lateness_makes_no_alarm() -> None:
 @pytest.mark.parametrize("name", ["rig.yaml", "paper_rig.yaml", "plain_rig.yaml"])
 def test_the_manual_says_what_the_limit_on_lateness_that_we_ship_does(name: str) -> None:
     (row,) = [row for row in rig_file.load(ROOT / "config" / name).limits if row.signal == "lateness_us"]
-    manual = " ".join((ROOT / "docs/operate.md").read_text().split())
+    manual = " ".join((ROOT / "docs/operate-reference.md").read_text().split())
     assert f"`lateness_us` {row.high:g} with action `{row.action}`, a LOW alarm" in manual
 
 
