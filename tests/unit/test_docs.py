@@ -33,6 +33,7 @@ from rigctl.ipc.runtime_folder import Runtime
 from rigctl.model import fault_page
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
+from rigctl.model.verbs import Verb
 from rigctl.wire import fault_card
 from tests import page_parts
 from tests.builders.paths import ROOT
@@ -464,6 +465,15 @@ def test_an_arrow_has_no_sign_that_ends_its_words(block: Block) -> None:
     """Mermaid ends the words of an arrow at a colon and at a semicolon."""
     for line in block.text.splitlines():
         assert not re.search("[:;]", line.partition(": ")[2]), f"{block.where}: {line}"
+
+
+def test_the_roles_and_the_keys_have_every_command() -> None:
+    """Each cell of the table of roles is tried by ``tests/live/telemetry/test_roles.py``."""
+    names = [verb.name.lower() for verb in Verb]
+    roles, keys = ((ROOT / "docs" / page).read_text() for page in ("security.md", "telemetry.md"))
+    assert not [name for name in names if f"`cmd/NAME/{name}`" not in roles]
+    (listed,) = re.findall(r"^\| `cmd/<verb>` \| .*`([a-z_ ]+)`", keys, re.MULTILINE)
+    assert sorted(listed.split()) == sorted(names)
 
 
 def test_the_glossary_has_a_line_for_each_term() -> None:
