@@ -37,6 +37,7 @@ REFERENCE = {
 }
 """Packages of the reference: those that a user's own code imports, and what they are made of."""
 INLINE = "assets/inline"
+PRINT = "assets/print.css"
 NOT_NEEDED = ("**/*.map", "assets/javascripts/lunr/**/*", "sitemap.xml*", "objects.inv")
 _LINK = re.compile(r"(\]\()(?!https?:)([^)#\s]*)((?:#[^)]*)?\))")
 _MERMAID = re.compile(r"^```mermaid\n(.*?)^```\n", re.MULTILINE | re.DOTALL)
@@ -59,6 +60,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         text = (ROOT / source).read_text()
         content = text if source.endswith(".md") else f"# License\n\n```text\n{text}```\n"
         files.append(File.generated(config, target, content=content))
+    files.append(File.generated(config, PRINT, content=(ROOT / "deploy/docs/print.css").read_text()))
     for package, title in REFERENCE.items():
         files.append(File.generated(config, _page_of(package), content=_reference(package, title)))
     return files

@@ -28,7 +28,7 @@ operator in charge ________ mechanic ________ electrician ________ network _____
 5. RESET, once the cause is gone. Then look at the mode: HOLD, go on with TENSION; DISARMED, ARM and then TENSION.
 
 HOLD stops the motion; it is not an emergency stop. Emergency stop and DISARM leave the load to the brake: where the
-brake slips, support the payload from below before either.
+brake slips, support the payload from below before either. The part to look at first is in *italics*.
 
 ```mermaid
 stateDiagram-v2
@@ -118,15 +118,15 @@ SITUATIONS = (
 def document() -> str:
     """The card, in Markdown with a Mermaid diagram."""
     arrows = [f"    {before} --> {after}: {why}" for before, after, why in _ARROWS]
-    table = ["| situation | the page shows | entry | first | next | look first at | call |", "|---" * 7 + "|"]
+    table = ["| situation | entry | first | next | call |", "|---" * 5 + "|"]
     return _HEAD + "\n".join([*arrows, "```", "", "## What to do", "", *table, *map(_row, SITUATIONS)]) + "\n"
 
 
 def _row(row: CardRow) -> str:
-    shows = row.shows or f"cause {', '.join(f'`{cause.name}`' for cause in row.causes)}"
+    shows = row.shows or ", ".join(f"`{cause.name}`" for cause in row.causes)
     then = row.then or " ".join(filter(None, (marked(row.causes[0].remedy), row.more)))
     look = row.look or str(row.causes[0].part)
-    return f"| **{row.what}** | {shows} | {row.entry} | {row.first} | {then} | {look} | {row.call} |"
+    return f"| **{row.what}**: {shows} | {row.entry} | {row.first} | {then} *{look}* | {row.call} |"
 
 
 if __name__ == "__main__":

@@ -67,3 +67,10 @@ def test_no_page_holds_code_that_the_server_forbids() -> None:
         assert "<script>" not in text, page
         assert "<style>" not in text, page
         assert ' style="' not in text, page
+
+
+def test_the_fault_card_prints_on_two_pages(reader: tuple[Page, list[str]]) -> None:
+    tab, _ = reader
+    tab.goto(tab.url.partition("/docs/")[0] + "/docs/fault-card.html")
+    printed = tab.pdf(prefer_css_page_size=True)
+    assert len(re.findall(rb"/Type\s*/Page\b", printed)) == 2
