@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json, wrong_usage
+from rigctl.cli.runs import files_named
 from rigctl.model import quantity
 
 if TYPE_CHECKING:
@@ -24,7 +25,10 @@ class To(Enum):
     MDF4 = "mdf4"
 
 
-Files = Annotated[list[pathlib.Path], typer.Argument(metavar="FILE...", help="Recording, its parts, or a trip dump.")]
+Files = Annotated[
+    list[pathlib.Path],
+    typer.Argument(metavar="FILE...", help="Recording, its parts, a trip dump, or the name of a run (rigctl runs)."),
+]
 Run = Annotated[bool, typer.Option("--run", help="Take every part of FILE's run, in its folder.")]
 Format = Annotated[To, typer.Option("--to", help="What to write.")]
 Out = Annotated[pathlib.Path, typer.Option("-o", "--out", metavar="FOLDER", help="New folder to write.")]
@@ -62,6 +66,7 @@ def read_recording(files: list[pathlib.Path], *, whole_run: bool, frames: bool =
     """The recording in ``files``; ``whole_run``: with every part beside them. The command ends if it cannot be read."""
     from rigctl.recorder import recording
 
+    files = [part for file in files for part in files_named(file)]
     try:
         if whole_run:
             files = sorted({part for file in files for part in recording.parts_of(file)})

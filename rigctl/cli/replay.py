@@ -27,7 +27,7 @@ _COLUMNS = ("ticks", "then_rms_mm_s", "now_rms_mm_s", "apart_rms_mm_s", "apart_m
 def replay(
     file: Annotated[
         pathlib.Path,
-        typer.Argument(metavar="FILE", help="A part of a recording; the run's others beside it are taken too."),
+        typer.Argument(metavar="FILE", help="A part of a recording (the run's others are taken too), or a run's name."),
     ],
     against: Annotated[
         pathlib.Path | None, typer.Option(metavar="RIGFILE", help="What would this rig file's tuning have commanded?")

@@ -22,13 +22,15 @@ def report(
     file: Annotated[
         pathlib.Path,
         typer.Argument(
-            metavar="FILE", help="A part of a recording (the run's others beside it are taken too), or a trip dump."
+            metavar="FILE", help="A part of a recording (the run's others are taken too), a trip dump, or a run's name."
         ),
     ],
     output: Annotated[
         pathlib.Path | None, typer.Option("-o", "--output", metavar="HTML", help="Where the page goes [NAME.html].")
     ] = None,
     part: Annotated[bool, typer.Option("--part", help="Report of FILE alone, not of the whole run.")] = False,
+    article: Annotated[str, typer.Option(metavar="TEXT", help="What was tested, for the first box.")] = "",
+    test: Annotated[str, typer.Option(metavar="TEXT", help="Name or number of the test, for the first box.")] = "",
     json: Json = False,
 ) -> None:
     """Write a test report of a recording: verdict, charts, provenance. Exit code 1 if the verdict is not "passed"."""
@@ -44,7 +46,7 @@ def report(
         end(USAGE, f"--output: {page} is the recording, expected a file of its own")
     found = _find(recording)
     if page is not None:
-        _write(page, found)
+        _write(page, found, article, test)
     if json:
         from rigctl.report.findings import as_dict
 
@@ -65,11 +67,11 @@ def _find(recording: Recording) -> Findings:
         end(USAGE, str(error))
 
 
-def _write(page: pathlib.Path, found: Findings) -> None:
+def _write(page: pathlib.Path, found: Findings, article: str, test: str) -> None:
     from rigctl.report.page import render
 
     with wrong_usage(output_file.OutputError):
-        output_file.replace(page, render(found))
+        output_file.replace(page, render(found, article, test))
 
 
 def _same(one: pathlib.Path, other: pathlib.Path) -> bool:

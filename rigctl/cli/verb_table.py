@@ -113,6 +113,16 @@ GROUPS: dict[str, tuple[VerbRow, ...]] = {
         ),
     ),
     "Record": (
+        VerbRow(
+            "note",
+            "note:note",
+            "Put words on record with the run: an event, an entry of the audit log, a line of runs and of the report.",
+        ),
+        VerbRow(
+            "runs",
+            "runs:runs",
+            "List the runs that are recorded and the trip dumps: number, start, duration, trips, notes.",
+        ),
         VerbRow("audit", "audit:audit", "Verify the audit log's chain of hashes, or show what is in it."),
         VerbRow(
             "info",

@@ -46,6 +46,7 @@ from rigctl.model.verbs import COMMAND_S, Verb
 from rigctl.wire import keys
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.keys import Keys
+from rigctl.wire.note_request import NOTE
 from rigctl.wire.session import SessionError, close, open_client
 from rigctl.wire.socket_message import COMMAND, STATE
 from rigctl.wire.user_name import user_name, with_user
@@ -443,6 +444,10 @@ class Client:
         body: dict[str, Any] = {"cause": cause}
         body |= {"reason": reason, "for_s": for_s} if act is AlarmAct.SHELVE else {}
         return self._commanded(act.value, operator, body)
+
+    def note(self, operator: str, text: str) -> dict[str, Any]:
+        """Put words on record with the run. See `command`."""
+        return self._commanded(NOTE, operator, {"text": text})
 
     def _commanded(self, name: str, operator: str, body: dict[str, Any], limit_s: float = COMMAND_S) -> dict[str, Any]:
         operator, given = self.operator(operator), operator

@@ -41,6 +41,7 @@ from rigctl.wire.alarm_request import AlarmRequest, parse_alarm
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.command_request import NewestRecord, RequestError, answer, parse, refused, silent, verb_of
 from rigctl.wire.lease_request import parse_lease
+from rigctl.wire.note_request import NOTE, NoteRequest, parse_note
 from rigctl.wire.user_name import with_user
 
 POLL_S = 0.002
@@ -113,7 +114,7 @@ class Pending:
     sharing: tuple[GivenCommand, ...] = ()  # HOLDs that arrived with it and get the same answer
 
 
-AnyRequest = Request | LeaseRequest | AlarmRequest
+AnyRequest = Request | LeaseRequest | AlarmRequest | NoteRequest
 
 
 def parsed(name: str, payload: bytes | None) -> AnyRequest:
@@ -126,6 +127,8 @@ def parsed(name: str, payload: bytes | None) -> AnyRequest:
         return parse_lease(ACTS[name], payload)
     if name in ALARM_ACTS:
         return parse_alarm(ALARM_ACTS[name], payload)
+    if name == NOTE:
+        return parse_note(payload)
     return parse(verb_of(name), payload)
 
 
@@ -235,8 +238,8 @@ class CommandServer:
             reply(refused(on_one_line(name), request.operator, "too_many", why))
         elif isinstance(request, LeaseRequest):
             self._work.put(partial(self._decide_lease, request, giver, reply))
-        elif isinstance(request, AlarmRequest):
-            self._work.put(partial(self._decide_alarm, request, giver, reply))
+        elif isinstance(request, AlarmRequest | NoteRequest):
+            self._work.put(partial(self._put_on_record, request, giver, reply))
         else:
             self._work.put(partial(self._give, GivenCommand(reply, request, giver)))
 
@@ -270,10 +273,10 @@ class CommandServer:
         reply(message)
         self._record_refusal(message, giver)
 
-    def _decide_alarm(self, request: AlarmRequest, giver: Giver, reply: Reply) -> None:
-        """Put a decision about an alarm on record; every display folds it from the events."""
+    def _put_on_record(self, request: AlarmRequest | NoteRequest, giver: Giver, reply: Reply) -> None:
+        """Put a decision about an alarm, or an operator's words, on record; every display has it from the events."""
         now = time.monotonic_ns()
-        message = self._meant_for_another(request) or self._leases.note_alarm(request, now)
+        message = self._meant_for_another(request) or self._leases.note_request(request, now)
         reply(message | {"lease": self._leases.shown(now)})
         self._record_refusal(message, giver)
 

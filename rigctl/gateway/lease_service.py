@@ -23,6 +23,7 @@ from rigctl.operations.lease import Lease, LeaseChange, LeaseRegister, why_not
 from rigctl.wire.alarm_request import AlarmRequest
 from rigctl.wire.alarms import AlarmAct
 from rigctl.wire.command_request import RequestError, operator_of, refused
+from rigctl.wire.note_request import NoteRequest
 
 IN_FORCE = "lease.json"  # in the runtime folder
 NAMES_REPORTED = 4
@@ -109,11 +110,15 @@ class LeaseService:
         """Note that the audit log was changed while the daemon ran."""
         self._note(now_ns, Note.AUDIT_LOG_CHANGED, reason=how)
 
-    def note_alarm(self, request: AlarmRequest, now_ns: int) -> dict[str, Any]:
-        """Note what an operator decides about an alarm, which takes no lease; returns the answer."""
-        reason = f"{request.for_s} s: {request.reason}" if request.act is AlarmAct.SHELVE else ""
-        self._note(now_ns, _ALARM_NOTES[request.act], request.operator, request.cause, reason)
-        _, text = worded(_ALARM_NOTES[request.act], request.operator, request.cause, reason)
+    def note_request(self, request: AlarmRequest | NoteRequest, now_ns: int) -> dict[str, Any]:
+        """Note what an operator decides about an alarm, or writes; neither takes a lease. Returns the answer."""
+        if isinstance(request, NoteRequest):
+            kind, other, reason = Note.OPERATOR_NOTE, "", request.text
+        else:
+            kind, other = _ALARM_NOTES[request.act], request.cause
+            reason = f"{request.for_s} s: {request.reason}" if request.act is AlarmAct.SHELVE else ""
+        self._note(now_ns, kind, request.operator, other, reason)
+        _, text = worded(kind, request.operator, other, reason)
         return {"accepted": True, "verb": request.command, "operator": request.operator, "text": text}
 
     def decide(self, request: LeaseRequest, now_ns: int) -> dict[str, Any]:

@@ -24,6 +24,7 @@ class Note(IntEnum):
     ALARM_ACKNOWLEDGED = 7  # other: the cause
     ALARM_SHELVED = 8  # other: the cause; reason: for how many s, and why
     ALARM_UNSHELVED = 9  # other: the cause
+    OPERATOR_NOTE = 10  # reason: the operator's words, for the record of the run
     TOO_MANY_COMMANDS = 65  # reason: number of the operator's refused commands, and the time span
     MESSAGE_REFUSED = 66  # operator: name in the certificate; other: certificate and address; reason: message and key
     CONNECTION_REFUSED = 67  # reason: what TLS found
@@ -44,6 +45,7 @@ _WORDS = {
     Note.ALARM_ACKNOWLEDGED: ("info", "{operator} acknowledges the alarm {other}"),
     Note.ALARM_SHELVED: ("warning", "{operator} shelves the alarm {other} for {reason}"),
     Note.ALARM_UNSHELVED: ("info", "{operator} takes the alarm {other} from the shelf"),
+    Note.OPERATOR_NOTE: ("info", "{operator} notes: {reason}"),
     Note.ENDPOINT_TAKEN: (
         "warning",
         "another program has {other}: who connects there gets nothing of this rig; it is tried until it is free. "

@@ -336,6 +336,7 @@ class Recorder:
         """Write the recorder's figures to the runtime folder, at least once a second."""
         figures = {
             "run": self._run,
+            "rig": self._settings.rig,
             "pid": os.getpid(),
             "audit_log": str(self.log.path),
             "entries": self.log.entries,

@@ -43,6 +43,7 @@ _SAME: dict[str, tuple[str, ...]] = {
     "alarm_acknowledged": ("other",),
     "alarm_shelved": ("other",),
     "alarm_unshelved": ("other",),
+    "operator_note": ("reason",),
     "hold_without_lease": ("other",),
     "too_many_commands": (),
     "clock": (),
@@ -57,7 +58,7 @@ _SAME: dict[str, tuple[str, ...]] = {
 }
 """Kinds whose repeats become one entry, with the details that repeats share beside kind and operator."""
 _REPEATED_VERBS = frozenset(
-    {"hold", "lease_take", "lease_return", "alarm_acknowledge", "alarm_shelve", "alarm_unshelve"}
+    {"hold", "lease_take", "lease_return", "alarm_acknowledge", "alarm_shelve", "alarm_unshelve", "note"}
 )
 _COUNTED = frozenset({
     *_SAME, "setting_lost", "command_given", "order", "reply", "emergency", "node_state", "message_refused",

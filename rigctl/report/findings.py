@@ -76,6 +76,11 @@ class Findings:
         """The longest phase, which is drawn in detail."""
         return max(self.phases, key=lambda phase: (phase.after - phase.first, -phase.number), default=None)
 
+    @property
+    def notes(self) -> list[str]:
+        """What operators wrote down meanwhile."""
+        return [item.text for item in self.events if item.what == "operator note"]
+
     def utc(self, t_ns: int) -> str:
         """A time of CLOCK_MONOTONIC on the wall clock, to the millisecond."""
         wall_ns = t_ns + self.recording.wall_offset_ns

@@ -16,12 +16,16 @@ from rigctl.report.sensor_budget import combined_n
 from rigctl.report.verdict import REQUIREMENT_PCT
 
 TEMPLATE = pathlib.Path(__file__).with_name("template")
+BLANK = "_" * 24
 EVENTS_OPEN = 60
 """A longer table of events is collapsed."""
 
 
-def render(found: Findings) -> str:
-    """The page. The same recording gives the same text, byte for byte."""
+def render(found: Findings, article: str = "", test: str = "") -> str:
+    """The page. The same recording gives the same text, byte for byte.
+
+    ``article``, ``test``: of the first box; without words a line to fill in.
+    """
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATE), autoescape=True, undefined=jinja2.StrictUndefined,
         trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
@@ -31,6 +35,9 @@ def render(found: Findings) -> str:
     return environment.get_template("report.html").render(
         found=found,
         recording=recording,
+        article=article,
+        test=test,
+        blank=BLANK,
         version=__version__,
         charts=_charts(found),
         tables=tables,

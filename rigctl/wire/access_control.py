@@ -24,6 +24,7 @@ from rigctl.model.lease_acts import ACTS
 from rigctl.model.verbs import Verb, VerbTrait, having
 from rigctl.wire.alarms import ALARM_ACTS
 from rigctl.wire.keys import ROOT, Keys
+from rigctl.wire.note_request import NOTE
 
 READ_TAILS = ("tele/**", "event/**", "events/**", "meta/**", "cfg/**")
 """Ends of the keys on which a daemon publishes and answers; everyone who is let in may read them."""
@@ -38,9 +39,9 @@ _STATING = ("put", "delete", "declare_queryable", "reply", "liveliness_token")
 
 
 def commands_of(role: Role) -> list[str]:
-    """Ends of the keys of the commands that a role may give, acts on the lease and on alarms among them."""
+    """Ends of the keys of the commands that a role may give, with acts on the lease and on alarms, and notes."""
     needed = {verb.name.lower(): ROLE_OF_VERB.get(verb, Role.OPERATOR) for verb in Verb}
-    needed |= dict.fromkeys((*ACTS, *ALARM_ACTS), Role.OPERATOR)
+    needed |= dict.fromkeys((*ACTS, *ALARM_ACTS, NOTE), Role.OPERATOR)
     return [name for name, least in needed.items() if role.includes(least)]
 
 

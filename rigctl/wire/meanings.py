@@ -58,6 +58,7 @@ NOTES: dict[Note, str] = {
     Note.ALARM_ACKNOWLEDGED: "operator acknowledges the alarm other",
     Note.ALARM_SHELVED: "operator shelves the alarm other; reason: 'SECONDS s: why'",
     Note.ALARM_UNSHELVED: "operator takes the alarm other from the shelf",
+    Note.OPERATOR_NOTE: "words of the operator for the record of the run: reason",
     Note.TOO_MANY_COMMANDS: "commands of an operator were refused because there were too many; reason: how many",
     Note.MESSAGE_REFUSED: "the access list refused a message of operator's certificate; other: certificate and "
     "address, reason: message and key",
@@ -101,6 +102,12 @@ LEASE_PAYLOAD: Rows = (
     ("reason", "string", "", "why it is taken over from another"),
     ("lease", "string", "", "id of the lease it is given under, from the answer to who took it"),
     ("run_id", "string", "", "run of the daemon it is meant for; any other refuses it"),
+)
+NOTE_PAYLOAD: Rows = (
+    ("operator", "string", "", "who writes it; required"),
+    ("text", "string", "", "up to 400 bytes, on one line; required"),
+    ("lease", "string?", "", "id of the operator's lease; a note takes none"),
+    ("run_id", "string", "", "of the daemon it is meant for, empty for any"),
 )
 ALARM_PAYLOAD: Rows = (
     ("operator", "string", "", "who decides; required"),

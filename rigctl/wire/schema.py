@@ -26,11 +26,13 @@ from rigctl.wire.meanings import (
     KINDS,
     LEASE_PAYLOAD,
     LOOP_EVENT,
+    NOTE_PAYLOAD,
     NOTES,
     PAYLOAD,
     VERBS,
     Rows,
 )
+from rigctl.wire.note_request import NOTE
 from rigctl.wire.state_message import DERIVED
 
 VERSION = 2  # changes only when a subscriber of this version would misread the data; added fields do not change it
@@ -140,6 +142,11 @@ def schema(rig: str, person: str = "") -> dict[str, Any]:
             "payload": _rows(ALARM_PAYLOAD),
             "rule": "every operator may; the decision is a note of the gateway, and displays fold the alarms from "
             "events and notes",
+        },
+        "note": {
+            "key": keys.command(NOTE),
+            "payload": _rows(NOTE_PAYLOAD),
+            "rule": "every operator may; the words are an event OPERATOR_NOTE of the gateway",
         },
         "enums": {
             **{name: {member.name: int(member) for member in kind if member.name} for name, kind in _ENUMS.items()},

@@ -44,8 +44,8 @@ OFFLINE = (
     "keys add lee --dir KEYS --role operator --json",
     "keys renew kim --dir KEYS --json", "keys list --dir KEYS --json",
     "keys revoke kim --dir KEYS --json",
-    "info PART", "info PART --run --json",
-    "report PART -o FOLDER/report.html --part --json", "export PART --to csv -o FOLDER/csv --run",
+    "info PART", "info PART --run --json", "runs RIG --json",
+    "report PART -o FOLDER/report.html --part --article twelve --test cold --json", "export PART --to csv -o FOLDER/csv --run",
     "replay RUN --json", "replay RUN --against RIG --plot FOLDER/replay.svg --json",
     "audit verify LOG --head HEAD --json",
     "audit show LOG --last 2 --since 2025-01-01T00:00:00Z --what trip --who kim --json",
@@ -59,7 +59,7 @@ OFFLINE = (
 DEMO = "demo RIG --lockstep --recordings FOLDER --json -"
 COMMANDED = (
     "status --all", "alarms", "alarms acknowledge --all", "doctor PAPER", "lease take --reason mine", "lease show",
-    "arm --near-end",
+    "arm --near-end", "note words",
     "tension --wait", "calibrate --weight-n 294.2 --adopt", "target 290", "move 1", "release --wait", "hold",
     "disarm", "reset", "carry 5 --by encoder", "lower --by cell", "brake-test --supported", "confirm-stroke 0", "tare",
     "calibrate --shunt", "identify --in tension",
