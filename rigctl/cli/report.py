@@ -29,6 +29,9 @@ def report(
         pathlib.Path | None, typer.Option("-o", "--output", metavar="HTML", help="Where the page goes [NAME.html].")
     ] = None,
     part: Annotated[bool, typer.Option("--part", help="Report of FILE alone, not of the whole run.")] = False,
+    picture: Annotated[
+        pathlib.Path | None, typer.Option(metavar="SVG", help="Write the picture of the whole run, too.")
+    ] = None,
     article: Annotated[str, typer.Option(metavar="TEXT", help="What was tested, for the first box.")] = "",
     test: Annotated[str, typer.Option(metavar="TEXT", help="Name or number of the test, for the first box.")] = "",
     json: Json = False,
@@ -41,12 +44,18 @@ def report(
         if page.suffix.lower() not in SUFFIXES:
             end(USAGE, f"--output: found {page}, expected a name ending in {', '.join(SUFFIXES)}")
         check_output("--output", page)
+    check_output("--picture", picture)
     recording = read_recording([file], whole_run=not part, frames=False)
     if page is not None and any(_same(page, own.path) for own in recording.files):
         end(USAGE, f"--output: {page} is the recording, expected a file of its own")
     found = _find(recording)
     if page is not None:
         _write(page, found, article, test)
+    if picture is not None:
+        from rigctl.report.page import overview
+
+        with wrong_usage(output_file.OutputError):
+            output_file.replace(picture, overview(found))
     if json:
         from rigctl.report.findings import as_dict
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 from typing import TYPE_CHECKING, Annotated
 
@@ -63,7 +64,8 @@ def _of_daemon() -> list[RecordedRun]:
     from rigctl.ipc import runtime_folder
     from rigctl.recorder.runs import recorded
 
-    found = [status for status in runtime_folder.recorded() if "rig" in status]
+    wanted = os.environ.get("RIGCTL_RIG")
+    found = [one for one in runtime_folder.recorded() if "rig" in one and wanted in (None, "", one["rig"])]
     if len(found) != 1:
         many = "no daemon" if not found else f"{len(found)} daemons"
         end(USAGE, f"found {many} on this computer, expected one (or a file, which rigctl runs RIGFILE names)")

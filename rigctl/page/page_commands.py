@@ -105,6 +105,14 @@ class PageCommands:
             raise RefusedError(f"{act.upper()}: {error}") from None
         return self._ask(lambda client: client.decide_alarm(decision, self.operator, cause, reason, for_s))
 
+    def note(self, text: str) -> Answer:
+        """Put words on record with the run; it needs no lease.
+
+        Raises:
+            RefusedError: no daemon answers.
+        """
+        return self._ask(lambda client: client.note(self.operator, text))
+
     def propose(self, verb: str, given: str | float | None, reason: str = "") -> Answer:
         """Propose a command, to be confirmed by the number ``confirm``; HOLD is given at once.
 

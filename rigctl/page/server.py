@@ -29,6 +29,7 @@ from rigctl.page.guard import DOCS_HEADERS, HEADERS, Guard
 from rigctl.page.history import WINDOWS_S
 from rigctl.page.page_commands import Answer, PageCommands, RefusedError
 from rigctl.page.picture import Picture
+from rigctl.page.run_files import RunFiles, RunFilesError
 from rigctl.page.sign_in import PROTOCOL, protocols_of
 
 STATIC = pathlib.Path(__file__).parent / "static"
@@ -67,6 +68,11 @@ class _AlarmBody(msgspec.Struct, forbid_unknown_fields=True):
     cause: str
     reason: str = ""
     minutes: str | float = ""
+
+
+@built
+class _NoteBody(msgspec.Struct, forbid_unknown_fields=True):
+    text: str
 
 
 @built
@@ -117,6 +123,7 @@ class Page:
     def __init__(self, picture: Picture, guard: Guard, commands: PageCommands | None = None) -> None:
         """``commands``: None for a read-only page."""
         self._picture, self._guard, self._commands = picture, guard, commands
+        self._run_files = RunFiles()
         self._hello = {
             "kind": "hello", "server": secrets.token_hex(8), "assets": assets_digest(), "windows_s": WINDOWS_S,
         }  # fmt: skip
@@ -129,6 +136,7 @@ class Page:
                 lambda commands, body: commands.alarm(body.act, body.cause, body.reason, body.minutes),
             ),
             "command": (_CommandBody, lambda commands, body: commands.propose(body.verb, body.value, body.reason)),
+            "note": (_NoteBody, lambda commands, body: commands.note(body.text)),
             "confirm": (_ConfirmationBody, lambda commands, body: commands.confirm(body.confirm)),
         }
         self.app = Starlette(
@@ -136,6 +144,8 @@ class Page:
                 Route("/", self._index),
                 WebSocketRoute("/stream", self._stream),
                 *(Route(f"/api/{name}", self._post(*act), methods=["POST"]) for name, act in acts.items()),
+                Route("/api/runs", self._runs),
+                Route("/api/runs/{name}/{what}", self._made),
                 Route("/api/sign-in", self._sign_in, methods=["POST"]),
                 Route("/api/session", self._session, methods=["POST"]),
                 Route("/api/sign-out", self._sign_out, methods=["POST"]),
@@ -172,6 +182,31 @@ class Page:
             return _json(_without_lease(answer), 200 if answer.get("accepted") else 409)
 
         return endpoint
+
+    async def _runs(self, request: Request) -> Response:
+        """The recorded runs."""
+        if not self._guard.may_read(request.headers):
+            return _refusal(_NO_SESSION, 403)
+        try:
+            return _json({"accepted": True, "runs": await self._run_files.listed(self._rig)}, 200)
+        except RunFilesError as error:
+            return _refusal(str(error), 409)
+
+    async def _made(self, request: Request) -> Response:
+        """A report, a picture or the tables of a run."""
+        if not self._guard.may_read(request.headers):
+            return _refusal(_NO_SESSION, 403)
+        try:
+            async with self._run_files.made(self._rig, **request.path_params) as file:
+                data = await asyncio.to_thread(file.read_bytes)
+        except (RunFilesError, OSError) as error:
+            return _refusal(str(error), 409)
+        name = f"attachment; filename={request.path_params['name']}-{file.name}"
+        return Response(data, media_type="application/octet-stream", headers={"content-disposition": name})
+
+    @property
+    def _rig(self) -> str:
+        return str((self._picture.state or {}).get("rig") or "")
 
     async def _sign_in(self, request: Request) -> Response:
         """Exchange a one-time link for a session: the cookie, and the key in the answer."""

@@ -53,6 +53,12 @@ def render(found: Findings, article: str = "", test: str = "") -> str:
     )
 
 
+def overview(found: Findings) -> str:
+    """The picture of the whole run, as SVG."""
+    with style():
+        return charts.overview(found).svg
+
+
 def _charts(found: Findings) -> dict[str, Chart]:
     """Charts by name; those of a judged phase only if there is one."""
     with style():

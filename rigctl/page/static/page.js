@@ -10,6 +10,7 @@ import { Mimic } from "./mimic.js";
 import { Panel } from "./panel.js";
 import { Polar } from "./polar.js";
 import { Store } from "./store.js";
+import { Runs } from "./runs.js";
 import { Session } from "./session.js";
 import { Strips } from "./strips.js";
 
@@ -21,6 +22,7 @@ const byId = (id) => document.getElementById(id);
 
 const store = new Store(), session = new Session(), commands = new Commands(session), events = new History();
 const alarms = new AlarmTable(session, (text, ok) => commands.say(text, ok));
+const runs = new Runs(session, (text, ok) => commands.say(text, ok));
 const panel = new Panel(new Bar(byId("bar")), new Mimic(document.querySelector("#mimic svg")), alarms);
 const strips = new Strips(byId("strips"), store);
 const polar = new Polar(document.querySelector("#polar canvas"), byId("polar-range"), store);
@@ -88,6 +90,7 @@ function see(view) {
   document.querySelector("main").dataset.view = view;
   for (const area of document.querySelectorAll("main > section")) area.hidden = !area.classList.contains(`of-${view}`);
   for (const button of byId("views").querySelectorAll("button")) button.setAttribute("aria-pressed", String(button.dataset.view === view));
+  if (view === "runs") runs.load();
   strips.resize();
   alarms.count();
   histogram.draw();

@@ -59,6 +59,16 @@ export class Session {
     return this.key ? ["rigctl", `rigctl.key.${this.key}`] : ["rigctl"];
   }
 
+  // ``answer``: the response itself, null without one.
+  async get(what) {
+    try {
+      const answer = await fetch(`/api/${what}`, { headers: this.key ? { "x-rigctl-key": this.key } : {} });
+      return { ok: answer.ok, answer };
+    } catch {
+      return { ok: false, answer: null };
+    }
+  }
+
   async post(what, body) {
     const headers = { "content-type": "application/json" };
     if (this.key) headers["x-rigctl-key"] = this.key;
