@@ -71,6 +71,8 @@ class _RecordingFile(msgspec.Struct):
 @built
 class _RecorderFile(msgspec.Struct):
     run: _Count = 0
+    rig: str = ""
+    trips: str = ""
     pid: _Count = 0
     audit_log: str = ""
     entries: _Count = 0

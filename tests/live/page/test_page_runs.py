@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import pathlib
 import zipfile
 
 from playwright.sync_api import Browser
 
-from rigctl.ipc.runtime_folder import RECORDED
+from rigctl.ipc.runtime_folder import ACTIVE, RECORDED
 from rigctl.recorder import parts
 from tests.builders.miniature import Daemon
 from tests.builders.operators import KIM
@@ -27,10 +28,11 @@ def runs_of(daemon: Daemon, folder: pathlib.Path) -> None:
     parts.path_of(recordings, rig, 6, BEGAN_NS, "0001").write_bytes(b"no recording")
     parts.path_of(trips, rig, 2, BEGAN_NS, "DRIVE_FAULT").write_bytes(b"no recording")
     status = {
-        "rig": rig, "recording": {"folder": str(recordings)}, "trips": str(trips),
+        "rig": rig, "recording": {"folder": str(recordings), "file": None}, "trips": str(trips),
         "audit_log": str(folder / "audit.jsonl"),
     }  # fmt: skip
     daemon.runtime.write_json(RECORDED, status)
+    daemon.runtime.write_json(ACTIVE, {**daemon.runtime.read_json(ACTIVE), "pid": os.getpid()})
 
 
 def opened(chromium: Browser, page: Server) -> PageView:

@@ -38,8 +38,8 @@ def folders(tmp_path: pathlib.Path) -> tuple[pathlib.Path, pathlib.Path]:
         written(parts.path_of(recordings, RIG, 3, BEGAN_NS, number), BEGAN_NS + at_s * S)
     written(parts.path_of(recordings, RIG, 4, BEGAN_NS + 200 * S, "0001"), BEGAN_NS + (200 + 10_800) * S)
     written(parts.path_of(recordings, "other_rig", 9, BEGAN_NS, "0001"), BEGAN_NS)
-    for number, at_s, fault in ((1, 50, "DRIVE_FAULT"), (2, 20_000, "E_STOP")):
-        written(parts.path_of(trips, RIG, number, BEGAN_NS + at_s * S, fault), BEGAN_NS + (at_s + 1) * S)
+    for dump, at_s, fault in ((1, 50, "DRIVE_FAULT"), (2, 20_000, "E_STOP")):
+        written(parts.path_of(trips, RIG, dump, BEGAN_NS + at_s * S, fault), BEGAN_NS + (at_s + 1) * S)
     return recordings, trips
 
 
