@@ -7,7 +7,6 @@ import pathlib
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from rigctl.config import rig_file as config
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 
-Command = Callable[..., "subprocess.CompletedProcess[str]"]
 RIG = config.load(ROOT / "config/paper_rig.yaml")
 FIGURES = {"eta_true_max_pct", "eta_true_rms_pct", "speed_max_mm_s", "settle_s", "ended"}
 
@@ -128,27 +126,6 @@ def test_a_picture_of_all_and_one_per_trace(said: dict[str, Any], folder: pathli
     pictures = {file.name: file.read_bytes() for file in (folder / "plots").iterdir()}
     assert set(pictures) == {"eta_max.png", "jolt.png", "shake_3hz.png"}
     assert all(data.startswith(b"\x89PNG") and len(data) > 20_000 for data in pictures.values())
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["missing.yaml"], "missing.yaml: cannot be read"),
-        (["config/rig.yaml"], "simulation: found nothing"),
-        (["--only", "nothing"], "--only: found 'nothing', expected paper_k6"),
-        (["--controllers", "pi,bang"], "--controllers: found 'bang', expected passive, p,"),
-        (["--json", "missing/rows.json"], "--json: missing/rows.json cannot be written"),
-        (["--bound", "--only", "jolts"], "--only: found 'jolts', expected paper_k6"),
-        (["--bound", "--controllers", "pi"], "--controllers: found 'pi', expected ours"),
-        (["--plots", "README.md"], "--plots: README.md cannot be made"),
-        (["--depth", "3"], "No such option"),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: Command) -> None:
-    result = in_process("hil", "compare", *arguments)
-    assert result.returncode == 2
-    assert words in result.stderr
-    assert len(result.stderr.splitlines()) == 1
 
 
 def test_a_run_changes_what_it_says_and_nothing_else() -> None:

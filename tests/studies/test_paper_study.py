@@ -7,7 +7,6 @@ import pathlib
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -18,8 +17,6 @@ from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s
 
 pytestmark = pytest.mark.long
-
-Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 def study(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -83,20 +80,3 @@ def test_the_terminal_shows_a_table_per_figure(done: subprocess.CompletedProcess
     assert "DIFFERS" in done.stdout
     progress = done.stderr.splitlines()  # no bar without a terminal, but a line each 10 s
     assert all(re.fullmatch(r"[a-z' ]+: [0-9]+ %.*", line) for line in progress)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["missing.yaml"], "missing.yaml: cannot be read"),
-        (["config/rig.yaml"], "simulation: found nothing"),
-        (["--json", "missing/rows.json"], "--json: missing/rows.json cannot be written"),
-        (["--plots", "README.md"], "--plots: README.md cannot be made"),
-        (["--depth", "3"], "No such option"),
-    ],
-)
-def test_wrong_usage_is_one_line(arguments: list[str], words: str, in_process: Command) -> None:
-    result = in_process("hil", "paper", *arguments)
-    assert result.returncode == 2
-    assert words in result.stderr
-    assert len(result.stderr.splitlines()) == 1

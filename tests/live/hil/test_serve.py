@@ -146,13 +146,6 @@ def test_a_truth_log_that_cannot_be_written_is_one_line_and_leaves_no_socket(
     assert not pathlib.Path(channel).exists()
 
 
-@pytest.mark.parametrize("arguments", [["serve"], ["nonsense"], [], ["serve", "/nowhere.yaml"], ["serve", "--x", "y"]])
-def test_wrong_usage_is_one_line(arguments: list[str], start: Start) -> None:
-    process = start("hil", *arguments)
-    out, err = process.communicate(timeout=patience_s())
-    assert (process.returncode, out, err.count("\n")) == (2, "", 1), err
-
-
 def test_python_cans_logger_records_while_the_rig_runs(
     served: subprocess.Popen[str], channel: str, tmp_path: pathlib.Path, start: Start
 ) -> None:

@@ -7,7 +7,6 @@ import pathlib
 from typing import Any
 
 import pytest
-import yaml
 
 from rigctl.bench import cyclictest
 from rigctl.bench.loop import RateResult, bench_settings
@@ -94,34 +93,6 @@ def test_nothing_of_the_rigs_own_is_touched(tmp_path: pathlib.Path) -> None:
     assert demo.audit_log != settings.audit_log
     assert demo.recording.folder == str(tmp_path / "here")
     assert bench_settings(settings, 1000).loop == settings.loop
-
-
-@pytest.mark.simulated_time
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--rate", "333"), "--rate: found 333"),
-        (("--rate", "0"), "--rate: found 0"),
-        (("--rate", "1000", "--rate", "8000"), "--rate: found 8000"),
-        (("--seconds", "0"), "'--seconds': found 0, expected 1 to 3600 seconds"),
-        (("--seconds", "nan"), "'--seconds': found 'nan', expected a number of seconds"),
-    ],
-)
-def test_a_rate_or_time_that_cannot_be_is_refused(options: tuple[str, ...], said: str) -> None:
-    answer = daemons.rigctl("bench", str(daemons.PAPER), *options)
-    assert (answer.returncode, len(answer.stderr.splitlines())) == (2, 1)
-    assert said in answer.stderr
-
-
-@pytest.mark.simulated_time
-def test_a_rig_without_a_simulation_is_refused(tmp_path: pathlib.Path) -> None:
-    file = daemons.rig_file(tmp_path)
-    data = yaml.safe_load(file.read_text())
-    del data["simulation"]
-    file.write_text(yaml.safe_dump(data))
-    answer = daemons.rigctl("bench", str(file))
-    assert (answer.returncode, len(answer.stderr.splitlines())) == (2, 1)
-    assert "simulation: found nothing" in answer.stderr
 
 
 def test_without_a_cyclictest_that_may_run_there_is_nothing_to_compare_with(monkeypatch: pytest.MonkeyPatch) -> None:

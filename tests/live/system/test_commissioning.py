@@ -267,25 +267,3 @@ def test_a_ledger_that_cannot_be_believed_is_refused_at_the_start(tmp_path: path
     assert answer.returncode == 2
     assert why in answer.stderr
     assert answer.stderr.count("\n") == 1
-
-
-@pytest.mark.simulated_time
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("identify", "--in", "space"), "expected hold or tension"),
-        (("identify", "--file", "nowhere/x.json"), "a folder that is there"),
-        (("identify", "--plot", "x.png"), "--plot without --response"),
-        (("identify", "--response", "--in", "tension"), "expected hold or compensating"),
-        (("identify", "--response", "--plot", "x.txt"), "a name ending in .png, .svg, .pdf"),
-        (("identify", "--response", "--plot", "nowhere/x.png"), "nowhere"),
-        (("calibrate", "--shunt", "--adopt"), "expected --shunt alone"),
-        (("calibrate", "--weight-n", "much"), "much"),
-        (("tare", "5"), "5"),
-    ],
-)
-def test_wrong_usage_is_one_line(words: tuple[str, ...], said: str) -> None:
-    answer = daemons.rigctl(*words)
-    assert answer.returncode == 2
-    assert answer.stderr.count("\n") == 1
-    assert said in answer.stderr

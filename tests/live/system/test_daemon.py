@@ -411,27 +411,6 @@ def test_without_privileges_it_runs_and_says_what_is_missing(tmp_path: pathlib.P
 
 
 @pytest.mark.simulated_time
-@pytest.mark.parametrize(
-    ("words", "code", "said"),
-    [
-        (("run",), 2, "FILE"),
-        (("run", "nothing.yaml"), 2, "nothing.yaml: cannot be read"),
-        (("check", "README.md"), 2, "README.md:"),
-        (("demo", "config/rig.yaml"), 2, "demo: found nothing"),
-        (("demo", "--json", "nowhere/x.json"), 2, "no folder"),
-        (("target", "abc"), 2, "abc"),
-        (("fly",), 2, "fly"),
-    ],
-)
-def test_wrong_usage_is_one_line_and_exit_code_2(words: tuple[str, ...], code: int, said: str) -> None:
-    answer = daemons.rigctl(*words)
-    assert answer.returncode == code
-    assert answer.stderr.count("\n") == 1
-    assert said in answer.stderr
-    assert "Traceback" not in answer.stderr
-
-
-@pytest.mark.simulated_time
 def test_check_shows_the_rig_and_refuses_a_bus_that_is_too_slow(tmp_path: pathlib.Path) -> None:
     good = daemons.rigctl("check", "config/rig.yaml")
     assert good.returncode == 0

@@ -73,29 +73,6 @@ def slow() -> Iterator[Daemon]:
     yield from running("--slow")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("target", "abc"), "found 'abc', expected a number of newtons"),
-        (("target", "nan"), "found 'nan', expected a number of newtons"),
-        (("target", "inf"), "found 'inf', expected a number of newtons"),
-        (("target",), "Missing argument"),
-        (("target", "1", "2"), "unexpected extra argument"),
-        (("bogus",), "No such command"),
-        (("arm", "--bogus"), "No such option"),
-        ((), "Missing command"),
-        (("status", "--connect", "nonsense"), "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
-        (("status", "--rig", "No Such"), "found rig 'No Such', expected a rig's name"),
-    ],
-)
-def test_wrong_usage_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
-    result = shared.cli(*arguments)
-    assert result.returncode == 2
-    assert result.stdout == ""
-    assert says in result.stderr
-    assert result.stderr.count("\n") == 1
-
-
 @pytest.mark.parametrize("arguments", [("arm",), ("target", "300"), ("tension", "--wait")])
 def test_no_daemon_is_one_line_and_exit_1(shared: Daemon, arguments: tuple[str, ...]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"

@@ -96,21 +96,3 @@ def test_a_layout_is_printed_or_written(in_process: Command, tool: str, tmp_path
     assert len(printed.stdout) > 1000
     missing = in_process("rigctl", "bridge", tool, "--layout", tmp_path / "none" / "layout")
     assert (missing.returncode, missing.stderr.count("\n")) == (2, 1)
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("plotjuggler",), "expected --layout FILE"),
-        (("foxglove", "--listen", "nowhere"), "--listen: found 'nowhere'"),
-        (("foxglove", "no-such-rig.yaml"), "no-such-rig.yaml"),
-        (("excel",), "excel"),
-        (("foxglove", "--rate", "0"), "--rate"),
-    ],
-    ids=str,
-)
-def test_wrong_usage_is_one_line(in_process: Command, words: tuple[str, ...], said: str) -> None:
-    answer = in_process("rigctl", "bridge", *words)
-    assert answer.returncode == 2
-    assert said in answer.stderr
-    assert answer.stderr.count("\n") == 1

@@ -137,35 +137,6 @@ def test_the_short_way_reads_a_hold_as_every_command_is_read(words: list[str], m
     assert read_words(words) == (found[0] if found else None)
 
 
-@pytest.mark.parametrize(
-    ("program_", "words", "shown"),
-    [
-        ("rigctl", ["status", "--bad"], "rigctl status --help"),
-        ("rigctl", ["--key", "a", "tare", "--bad"], "rigctl tare --help"),
-        ("rigctl", ["bench"], "rigctl bench --help"),
-        ("rigctl", ["--bad"], "rigctl --help"),
-        ("rigctl", ["nonsense"], "rigctl --help"),
-        ("hil", ["faults", "--bad"], "python -m hil faults --help"),
-        ("hil", ["new", "rig"], "python -m hil new --help"),
-        ("hil", ["nonsense"], "python -m hil --help"),
-    ],
-)
-def test_wrong_usage_names_the_help_of_its_own_command(
-    in_process: Command, program_: str, words: list[str], shown: str
-) -> None:
-    done = in_process(program_, *words)
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert done.stderr.endswith(f" (see {shown})\n")
-
-
-@pytest.mark.parametrize("line", ["lease foo", "keys foo", "audit foo", "bridge foo", "export x --to foo -o y"])
-def test_a_wrong_choice_is_named_with_the_right_ones(in_process: Command, line: str) -> None:
-    done = in_process("rigctl", *line.split())
-    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
-    assert ": 'foo' is not one of '" in done.stderr
-    assert "Value error" not in done.stderr
-
-
 LONG = ["check WORD", "keys list --dir WORD", "status --connect WORD", "WORD", "status --WORD", "tune WORD"]
 LONG_OF_HIL = ["faults --only WORD", "serve WORD", "new rig WORD", "paper --json WORD", "WORD", "scenario WORD"]
 

@@ -296,13 +296,6 @@ def test_the_command_without_a_daemon(in_process: Command, tmp_path: pathlib.Pat
     assert "no preflight" in " ".join(said.stdout.split())
 
 
-@pytest.mark.parametrize(("words", "said"), [(("none.yaml",), "none.yaml"), (("--connect", "x y"), "endpoint")])
-def test_wrong_usage(in_process: Command, words: tuple[str, ...], said: str) -> None:
-    found = in_process("rigctl", "doctor", *words)
-    assert (found.returncode, found.stdout) == (2, "")
-    assert said in found.stderr
-
-
 def test_the_queue_is_the_same_wherever_it_is_named() -> None:
     for file in ("docs/install.md", "config/rig.yaml", "tests/guest/inside/guest_rig.py"):
         found = re.findall(r'txqueuelen"?,? "?(\d+)', (ROOT / file).read_text())

@@ -159,19 +159,6 @@ def test_a_page_that_cannot_be_written_leaves_the_old_one(tmp_path: pathlib.Path
     assert sorted(path.name for path in tmp_path.iterdir()) == ["full.mcap", "page.html"]
 
 
-def test_what_is_no_recording_is_refused_in_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
-    empty, text, folder = tmp_path / "empty.mcap", tmp_path / "text.mcap", tmp_path / "folder.mcap"
-    empty.touch()
-    text.write_text("rig: paper_rig\n")
-    folder.mkdir()
-    for file in (empty, text, folder, tmp_path / "none.mcap"):
-        done = in_process("rigctl", "report", file, "-o", tmp_path / "x.html")
-        assert done.returncode == 2, file
-        assert done.stderr.startswith(f"rigctl: {file}")
-        assert done.stderr.count("\n") == 1
-        assert not (tmp_path / "x.html").exists()
-
-
 def test_a_recording_without_records_is_refused(tmp_path: pathlib.Path, in_process: Command) -> None:
     file = write(tmp_path / "bare.mcap", run(stay(Mode.HOLD, 0.0)))
     done = in_process("rigctl", "report", file, "-o", tmp_path / "x.html")

@@ -77,32 +77,6 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
     assert {m["ms"] for m in said["margins"] if not m["stable"]} == {None}
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("nothing.yaml",), "nothing.yaml: cannot be read"),
-        (("config",), "config: cannot be read: Is a directory"),
-        (("README.md",), "README.md:"),
-        ((PAPER, "--json", "nowhere/x.json"), "--json: nowhere/x.json cannot be written: there is no folder nowhere"),
-        ((PAPER, "--json", "config"), "--json: config cannot be written: Is a directory"),
-        ((PAPER, "--json", PAPER), "expected a file for the figures"),
-        ((PAPER, "--plot", "x.jpg"), "expected a name ending in .png, .svg, .pdf"),
-        ((PAPER, "--plot", "/proc/x.png"), "--plot: /proc/x.png cannot be written: No such file"),
-        ((PAPER, "--gains", "config/rig.yaml"), "is there and is no gain file"),
-        ((PAPER, "--gains", "/dev/null"), "is there and is no gain file"),
-        ((PAPER, "--gains", "/proc/g.yaml"), "--gains: /proc/g.yaml cannot be written: "),
-    ],
-)
-def test_wrong_input_is_one_line_and_exit_code_2(words: tuple[str, ...], said: str, in_process: Command) -> None:
-    before = (ROOT / "config/rig.yaml").read_bytes(), (ROOT / PAPER).read_bytes()
-    answer = in_process("rigctl", "tune", *words)
-    assert answer.returncode == 2
-    assert answer.stderr.count("\n") == 1
-    assert said in answer.stderr
-    assert "Traceback" not in answer.stderr
-    assert before == ((ROOT / "config/rig.yaml").read_bytes(), (ROOT / PAPER).read_bytes())
-
-
 def test_numbers_no_plant_has_are_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
     answer = in_process("rigctl", "tune", str(daemons.rig_file(tmp_path, {"plant": {"spring_n_mm": 1e-300}})))
     assert answer.returncode == 2

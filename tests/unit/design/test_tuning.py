@@ -244,22 +244,6 @@ def test_a_replaced_value_is_held_to_its_bound(tmp_path: pathlib.Path, in_proces
         adopted(load(file), NOW)
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (("--auto", "--optimize"), "--auto: expected without --from and --optimize"),
-        (("--every-spring",), "--every-spring: expected with --from and --gains"),
-        (("--from", "nothing.json"), "--from: nothing.json is no file, expected the rig's ledger"),
-        (("--from", "README.md"), "README.md: no calibration ledger"),
-    ],
-)
-def test_wrong_options_are_one_line(in_process: Command, options: tuple[str, ...], said: str) -> None:
-    answer = in_process("rigctl", "tune", "config/paper_rig.yaml", *options)
-    assert answer.returncode == 2
-    assert said in answer.stderr
-    assert answer.stderr.count("\n") == 1
-
-
 def test_a_ledger_without_an_identification_is_one_line(tmp_path: pathlib.Path, in_process: Command) -> None:
     file = rig_with(tmp_path, lambda rig: steps(rig, stiffness=(None, None)))
     answer = tuned(file, in_process)

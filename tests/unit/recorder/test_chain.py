@@ -206,29 +206,6 @@ def test_the_command_shows_what_was_done(in_process: Command, tmp_path: pathlib.
     assert f"{file}:2: edited" in bad.stderr
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (("verify", "nothing.jsonl"), "nothing.jsonl cannot be read: No such file or directory"),
-        (("verify", "tests"), "tests cannot be read: Is a directory"),
-        (("verify", "/dev/zero"), "/dev/zero cannot be read: not a file"),
-        (("verify", "nothing.yaml"), "nothing.yaml: cannot be read"),
-        (("verify", "README.md", "--head", "abc"), "--head: found 'abc', expected 64 letters 0-9 a-f"),
-        (("verify", "README.md", "--last", "3"), "found a choice of entries, expected with show alone"),
-        (("show", "README.md", "--head", "0" * 64), "found --head, expected with verify alone"),
-        (("show", "README.md", "--since", "yesterday"), "--since: found 'yesterday', expected ISO 8601"),
-        (("show", "README.md", "--last", "0"), "--last"),
-        (("count",), "count"),
-        ((), "verify|show"),
-    ],
-)
-def test_wrong_usage_is_one_line(in_process: Command, words: tuple[str, ...], said: str) -> None:
-    answer = in_process("rigctl", "audit", *words)
-    assert answer.returncode == 2
-    assert said in answer.stderr
-    assert answer.stderr.count("\n") == 1
-
-
 def test_without_a_name_it_is_the_running_daemons_and_of_a_rig_file_its_own(
     in_process: Command, tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -199,24 +199,6 @@ def test_info_of_a_cut_file_says_so_and_is_no_failure(path: pathlib.Path, in_pro
     assert "cut off" in answer.stdout
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [("none.mcap", None, "no such file"), ("rig.yaml", b"rig: x\n", "not an MCAP file"), ("e.mcap", b"", "empty")],
-)
-@pytest.mark.parametrize("words", [("info",), ("export", "--to", "csv", "-o", "out")])
-def test_a_file_that_is_no_recording_is_one_line(
-    tmp_path: pathlib.Path, in_process: Command, name: str, content: bytes | None, said: str, words: tuple[str, ...]
-) -> None:  # fmt: skip
-    file = tmp_path / name
-    if content is not None:
-        file.write_bytes(content)
-    answer = in_process("rigctl", words[0], file, *(str(tmp_path / w) if w == "out" else w for w in words[1:]))
-    assert (answer.returncode, answer.stderr.count("\n")) == (2, 1)
-    assert str(file) in answer.stderr
-    assert said in answer.stderr
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_run_is_taken_together(tmp_path: pathlib.Path, in_process: Command) -> None:
     tape = Tape(tmp_path, part_s=1)
     tape.run(3000)
