@@ -13,7 +13,6 @@ from typing import Any
 import pytest
 
 from rigctl.client.connection import Client
-from rigctl.gateway.lease_service import IN_FORCE
 from rigctl.wire.keys import Keys
 from tests.builders.certified import CertifiedDaemon, certified
 from tests.builders.namespace import HERE
@@ -56,31 +55,6 @@ def opened(own: CertifiedDaemon, namespace: tuple[str, ...], tmp_path: pathlib.P
 def given(daemon: CertifiedDaemon) -> int:
     """Number of commands that the loop got so far."""
     return daemon.runtime.commands.reader().head
-
-
-def test_a_lease_is_lost_to_another_person_with_a_reason_and_given_back(own: CertifiedDaemon, opened: Opened) -> None:
-    kim, max_ = opened("kim"), opened("max")
-    taken = kim.do("take", "")
-    assert (taken["accepted"], taken["operator"], taken["by_socket"]) == (True, "kim", False)
-    assert taken["lease"]["id"]
-    assert kim.do("command", "target", 310.0)["accepted"]
-    assert own.runtime.read_json(IN_FORCE)["holder"] == "kim"
-
-    before = given(own)
-    for answer in (max_.do("command", "target", 320.0), max_.do("take", "")):
-        assert (answer["accepted"], answer["reason"]) == (False, "lease_held")
-    assert given(own) == before
-
-    over = max_.do("take", "kim has gone home")
-    assert (over["accepted"], over["lease"]["holder"]) == (True, "max")
-    lost = kim.do("command", "target", 330.0)
-    assert (lost["accepted"], lost["reason"]) == (False, "lease_held")
-    assert "max holds the lease" in lost["text"]
-    assert not kim.do("return")["accepted"]
-    assert given(own) == before
-    assert max_.do("command", "target", 340.0)["accepted"]
-    assert max_.do("return")["accepted"]
-    assert kim.do("take", "")["accepted"]
 
 
 def test_a_person_without_the_leases_id_and_another_person_with_it_command_nothing(

@@ -41,17 +41,6 @@ def test_the_name_on_record_is_the_certificates_whatever_was_typed(shared: Certi
     assert {slot["operator"].decode() for slot in given if slot["operator"]} == {"kim"}
 
 
-def test_a_lease_is_its_holders_also_with_its_id(shared: CertifiedDaemon) -> None:
-    with shared.client_of("kim") as kim, shared.client_of("max") as other:
-        id_ = kim.take_lease("kim")["lease"]["id"]
-        other.leases["max"] = id_
-        for typed in ("kim", "max"):
-            refused = other.command("target", typed, 305.0)
-            assert (refused["accepted"], refused["reason"], refused["operator"]) == (False, "lease_held", "max")
-        assert kim.command("target", "kim", 300.0)["accepted"]
-        assert kim.return_lease("kim")["accepted"]
-
-
 def test_what_a_role_may_not_ends_in_one_line(shared: CertifiedDaemon) -> None:
     with shared.client_of("vera") as vera, shared.client_of("kim") as kim:
         assert vera.state()["mode"] == "DISARMED"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import random
 import subprocess
 import sys
 import time
@@ -12,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import msgspec
-import pytest
 
 from rigctl.client.connection import Client
 from rigctl.client.shapes import Message
@@ -99,47 +97,6 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
         assert lease["id"] not in msgspec.json.encode([state, kim.active(), kim.past_events()]).decode()
 
 
-def test_the_same_name_elsewhere_is_another_operator_until_the_id_is_shown(own: Daemon) -> None:
-    with own.client() as first, own.client() as second:
-        lease = first.command("arm", "anna")["lease"]["id"]
-        refused = second.command("tension", "anna")
-        assert refused["text"].startswith(
-            f"TENSION refused: {ANNA} holds the lease in another terminal or program, since "
-        )
-        second.leases[ANNA] = lease
-        assert second.command("tension", "anna")["accepted"]
-
-
-def test_a_takeover_needs_a_reason_and_is_noted(own: Daemon) -> None:
-    with own.client() as anna, own.client() as kim:
-        events = anna.follow(anna.keys.event("warning"))
-        anna.command("arm", "anna")
-        refused = kim.take_lease("kim")
-        assert refused["accepted"] is False
-        assert refused["text"].startswith(f"LEASE refused: {ANNA} holds the lease, since ")
-        assert refused["text"].endswith(HOW)
-        given = commands(own)
-        taken = kim.take_lease("kim", "anna has gone home")
-        assert taken["accepted"]
-        assert taken["text"] == f"LEASE: {KIM} holds the lease, until 300 s after the last command"
-        event = until(of_kind(events, "LEASE_TAKEN_OVER"), "the note")
-        assert event["text"] == f"{KIM} takes the lease over from {ANNA}: anna has gone home"
-        assert (event["operator"], event["other"]) == (KIM, ANNA)
-        assert (commands(own), own.state(kim)["mode"]) == (given, "HOLD")
-        lost = anna.command("tension", "anna")
-        assert (lost["reason"], lost["lease"]["holder"]) == ("lease_held", KIM)
-        assert kim.command("tension", "kim")["accepted"]
-        assert anna.return_lease("anna")["reason"] == "lease_held"
-        assert kim.return_lease("kim")["text"] == "LEASE: given back; the rig goes on as it is"
-        until(lambda: kim.state()["lease"] is None, "the state to follow")
-        lapsed = anna.command("release", "anna")
-        assert lapsed["reason"] == "lease_lapsed"
-        assert "rigctl lease take" in lapsed["text"]
-        assert commands(own) == given + 1
-        assert anna.take_lease("anna")["accepted"]
-        assert anna.command("release", "anna")["accepted"]
-
-
 def test_a_lapse_is_noted_and_moves_nothing(own: Daemon) -> None:
     with own.client() as client:
         client.command("arm", "anna")
@@ -207,83 +164,6 @@ def test_a_lease_survives_the_gateway(own: Daemon) -> None:
         assert note["kind"] == "LEASE_RETURNED"  # the earlier notice is not repeated
 
 
-def test_of_any_sequence_the_loop_hears_the_holder_and_every_hold_and_nothing_else(own: Daemon) -> None:
-    draw = random.Random(5)
-    with own.client() as anna, own.client() as kim:
-        anna.command("arm", "anna")
-        holder: str | None = ANNA
-        given = commands(own)
-        for _ in range(300):
-            client, operator = draw.choice([(anna, ANNA), (kim, KIM)])
-            what = draw.choice(["hold", "target", "target", "take", "take for a reason", "return", "forget"])
-            if what == "forget":
-                client.leases.pop(operator, None)
-                continue
-            holds = holder == operator and operator in client.leases
-            match what:
-                case "hold":
-                    answer, passes, reached = gateways_hold(client, operator), True, 1
-                case "target":
-                    lapsed = holder is None and operator in client.leases
-                    passes = holds or (holder is None and not lapsed)
-                    answer, reached = client.command("target", operator, draw.uniform(60, 340)), int(passes)
-                    holder = operator if passes else holder
-                case "return":
-                    answer, passes, reached = client.return_lease(operator), holds, 0
-                    holder = None if passes else holder
-                case _:
-                    passes, reached = holds or holder is None or what == "take for a reason", 0
-                    answer = client.take_lease(operator, "a reason" if what == "take for a reason" else "")
-                    holder = operator if passes else holder
-            given += reached
-            assert (answer.get("reason", "").startswith("lease_"), commands(own)) == (not passes, given), (what, answer)
-            assert (answer["lease"] or {"holder": None})["holder"] == holder
-        assert own.state(client)["mode"] == "HOLD"
-
-
-@pytest.mark.parametrize("forged", ["garbage", "another's", "folder"])
-def test_a_lease_that_is_not_valid_keeps_no_operator_out(own: Daemon, forged: str) -> None:
-    with own.client() as client:
-        client.command("arm", "anna")
-        client.command("tension", "anna")
-        own.kill_gateway()
-        file = own.runtime.directory / IN_FORCE
-        if forged == "garbage":
-            file.write_bytes(b"\xff{")
-        elif forged == "another's":
-            far = {"id": "0" * 32, "holder": "mallory", "since_ns": 0, "until_ns": 2**62}
-            file.write_bytes(msgspec.json.encode(far))
-        else:
-            file.unlink()
-            file.mkdir()
-        own.start_gateway()
-        own.answers(client)
-        with own.client() as kim:
-            assert kim.command("hold", "kim")["accepted"]
-            until(lambda: client.state()["mode"] == "HOLD", "the hold")
-            assert kim.command("release", "kim")["lease"]["holder"] == KIM
-            kinds = [e["kind"] for e in kim.past_events() if e["source"] == "gateway"]
-        assert kinds == ["LEASE_TAKEN", "LEASE_NOT_BELIEVED", "LEASE_TAKEN"]
-
-
-@pytest.mark.parametrize(
-    ("lease", "says"),
-    [(7, "int"), ([], "list"), ("", "text of 0 letters"), ("x" * 5000, "text of 5000"), ("0" * 31, "text of 31")],
-)
-def test_a_bad_lease_is_one_line_and_keeps_no_operator_from_holding(shared: Daemon, lease: Any, says: str) -> None:
-    body = msgspec.json.encode({"operator": "kim", "lease": lease})
-    with shared.client() as client:
-        for verb in ("arm", "lease_take", "lease_return"):
-            answered, raw = client.ask(client.keys.command(verb), body)
-            answer = msgspec.json.decode(raw)
-            assert (answered, answer["reason"]) == (False, "bad_request")
-            assert f"found lease: {says}" in answer["text"]
-            assert "\n" not in answer["text"]
-        _, raw = client.ask(client.keys.command("hold"), body)
-        assert msgspec.json.decode(raw)["reason"] == "wrong_mode"  # the loop's own refusal: nothing is held in DISARMED
-        assert client.state()["lease"] is None
-
-
 def test_hold_comes_through_a_crowd(own: Daemon) -> None:
     """With as many unanswered commands as a user has connections for, HOLD is answered."""
     with own.client() as client:
@@ -334,26 +214,3 @@ def test_the_lease_typed(own: Daemon) -> None:
         f"{KIM} gives the lease back; the rig goes on as it is",
         f"{ANNA} takes the lease",
     ]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("lease", "steal"), "'steal' is not one of 'show', 'take', 'return'"),
-        (("lease", "return", "--reason", "x"), "found --reason, expected with take alone"),
-        (("lease", "take", "--reason"), "requires an argument"),
-    ],
-)
-def test_a_lease_wrongly_typed_is_one_line_and_exit_2(shared: Daemon, arguments: tuple[str, ...], says: str) -> None:
-    result = shared.cli(*arguments)
-    assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
-    assert says in result.stderr
-
-
-@pytest.mark.parametrize("reason", ["x" * 121, "a\nb", "\udcff" * 121], ids=["long", "two lines", "no text"])
-def test_a_reason_that_is_none_is_one_line(shared: Daemon, reason: str) -> None:
-    shared.client().close()
-    result = shared.cli("lease", "take", "--reason", reason)
-    assert result.returncode == 1
-    assert "expected up to 120 printable letters" in result.stderr
-    assert result.stderr.count("\n") == 1

@@ -107,3 +107,16 @@ def test_only_what_a_gateway_would_have_written_is_believed() -> None:
     ]  # fmt: skip
     for forged in bad:
         assert valid_lease(forged, TERM, now) is None, forged
+
+
+@pytest.mark.parametrize("written", [b"\xff{", b'{"id": "0"}', None], ids=["garbage", "no lease", "folder"])
+def test_a_gateway_that_finds_no_lease_to_go_on_with_notes_it_and_keeps_no_operator_out(
+    runtime: Runtime, written: bytes | None
+) -> None:
+    file = runtime.directory / IN_FORCE
+    file.unlink()
+    file.mkdir() if written is None else file.write_bytes(written)
+    service = LeaseService(runtime, 300, 1 * S)
+    assert service.shown(1 * S) is None
+    assert lease_of(service, "kim", 2 * S)
+    assert [kind for kind, *_ in notes(runtime)] == [Note.LEASE_NOT_BELIEVED, Note.LEASE_TAKEN]

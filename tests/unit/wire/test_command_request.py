@@ -93,6 +93,25 @@ def test_a_proper_command_is_read(operator: str, value: float) -> None:
     assert parse(Verb.ARM, msgspec.json.encode({"operator": name})).verb is Verb.ARM
 
 
+@pytest.mark.parametrize(
+    ("payload", "words"),
+    [
+        (b"", "no payload"), (b"{", "truncated"), (b"\xff\xfe", "malformed"), (b"[1]", "Expected `object`"),
+        (b'{"value": 300}', "operator"), (b'{"operator": "kim"}', "no value"),
+        (b'{"operator": "kim", "value": null}', "no value"), (b'{"operator": "kim", "value": "3"}', "Expected `float"),
+        (b'{"operator": "kim", "value": true}', "Expected `float"),
+        (b'{"operator": "kim", "value": NaN}', "malformed"), (b'{"operator": "kim", "value": 1e999}', "out of range"),
+        (b'{"operator": "kim", "value": 1, "force": 1}', "force"), (b'{"operator": 7, "value": 3}', "Expected `str`"),
+        (b'{"operator": "", "value": 300}', "operator"), (b'{"operator": "a\\nb", "value": 300}', "operator"),
+        (b"[" * 4000, "Expected `object`"), (b" " * 20_000, "20000 bytes"),
+    ],
+)  # fmt: skip
+def test_a_refusal_says_what_is_wrong_with_the_message(payload: bytes, words: str) -> None:
+    with pytest.raises(RequestError, match="expected") as refused:
+        parse(Verb.TARGET, payload)
+    assert words in str(refused.value)
+
+
 def test_verbs_are_the_modes_verbs() -> None:
     assert [verb_of(verb.name.lower()) for verb in Verb] == list(Verb)
     for name in ("ARM", "", "*", "fly"):
