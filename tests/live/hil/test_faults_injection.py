@@ -108,35 +108,6 @@ def test_a_stuck_cell_repeats_itself_to_the_last_bit(rig: Lockstep) -> None:
     assert len(set(rig.run(0.01)["reading_n"])) == 1
 
 
-def test_a_drive_that_trips_closes_its_brake_and_says_why(rig: Lockstep) -> None:
-    put_in(rig, in_device.trips(0x2310), 100)
-    assert rig.loop.machine.mode is Mode.FAULT
-    assert rig.rig.drive.control.stage.braked
-    assert rig.rig.drive.errors == (0x2310,)
-
-
-def test_a_motor_that_runs_away_stops_only_without_power(rig: Lockstep) -> None:
-    before = rig.rig.truth.stroke_mm
-    drive = rig.rig.drive
-    put_in(rig, in_device.runs_away(10.0), 100)
-    assert rig.rig.truth.stroke_mm > before + 0.1
-    drive.trip(0x2310)
-    rig.run(0.2)
-    assert drive.stopping
-    stopped = rig.rig.truth.stroke_mm
-    rig.run(0.2)
-    assert rig.rig.truth.stroke_mm == stopped
-
-
-def test_a_brake_that_does_not_hold_lets_a_motor_without_power_give_way(rig: Lockstep) -> None:
-    put_in(rig, in_device.brake_stays_open(), 100)
-    held = rig.rig.truth.stroke_mm
-    assert held == pytest.approx(52.3, abs=0.1)
-    rig.rig.drive.trip(0x2310)
-    rig.run(0.5)
-    assert rig.rig.truth.stroke_mm < held - 0.1
-
-
 # -- the plant ------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("fault", "tension_n"),

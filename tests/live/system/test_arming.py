@@ -10,7 +10,6 @@ from typing import Any
 
 import pytest
 
-from rigctl.devices import objects as od
 from tests.builders import daemons
 from tests.builders.waiting import until
 from tests.live.system.test_daemon import PATIENT, Running
@@ -28,30 +27,6 @@ def doctor(rig: Running) -> tuple[int, dict[str, dict[str, Any]]]:
     """Exit code, and findings by name."""
     answer = daemons.rigctl("doctor", str(rig.file), "--json")
     return answer.returncode, {row["name"]: row for row in json.loads(answer.stdout)}
-
-
-def test_an_emergency_stop_is_latched_holds_the_load_and_must_be_released_before_the_reset(
-    tmp_path: pathlib.Path,
-) -> None:
-    with running(tmp_path, {}) as rig:
-        rig.compensate(100)
-        code, found = doctor(rig)
-        assert code == any(row["severity"] == "fails" for row in found.values())
-        assert found["emergency stop: released"]["ok"]
-        assert found["emergency stop: seen"]["ok"]
-        daemons.simulator(rig.file).write(od.SIM_E_STOP, 1)
-        until(lambda: daemons.state(rig.file).get("fault") == "E_STOP", log=rig.log)
-        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
-        assert "cause still present: E_STOP" in rig.refused("reset")
-        code, found = doctor(rig)
-        assert code == 1
-        assert found["emergency stop: released"]["severity"] == "fails"
-        daemons.simulator(rig.file).write(od.SIM_E_STOP, 0)
-        until(lambda: daemons.rigctl("reset", file=rig.file).returncode == 0, log=rig.log)
-        until(lambda: daemons.state(rig.file).get("held_by") == "BRAKE", log=rig.log)
-        assert daemons.mode(rig.file) == "DISARMED"  # the drive's own fault: a whole arming follows
-        assert rig.truth()[0] == pytest.approx(100.0, abs=3.0)
-        rig.compensate()
 
 
 def test_arming_is_refused_with_everything_that_stands_against_it_and_doctor_says_the_same(

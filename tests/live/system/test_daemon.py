@@ -139,19 +139,6 @@ def test_an_operators_session(slow: Running) -> None:
     assert daemons.mode(slow.file) == "DISARMED"
 
 
-def test_what_is_not_possible_is_refused_in_one_line(running: Running) -> None:
-    assert "arm first" in running.refused("tension")
-    assert "there is no fault" in running.refused("reset")
-    assert "50 to 350 N" in running.refused("target", "1000")
-    assert "already DISARMED" in running.refused("disarm")
-    running.do("arm")
-    assert "already HOLD" in running.refused("arm")
-    assert "slack" in running.refused("release")
-    running.do("target", "60")
-    running.do("tension", "--wait")
-    assert "hold first" in running.refused("disarm")
-
-
 @pytest.mark.alone  # two loops beside it leave the rig no processor for the daemon's last SDO
 def test_sigterm_in_the_closed_loop_ends_in_hold_with_the_load_carried(running: Running) -> None:
     running.compensate(100)
@@ -440,16 +427,3 @@ def test_a_second_daemon_under_another_name_is_refused_by_the_bus(shared: Runnin
     assert "another controller is active" in answer.stderr
     assert "Traceback" not in answer.stderr
     assert daemons.mode(shared.file) == "DISARMED"
-
-
-def test_a_second_simulated_rig_on_the_same_socket_is_refused(shared: Running) -> None:
-    answer = subprocess.run(
-        [sys.executable, "-m", "hil", "serve", str(shared.file)],
-        capture_output=True, text=True, timeout=patience_s(), check=False, cwd=ROOT,
-    )  # fmt: skip
-    assert answer.returncode == 1
-    *before, last = answer.stderr.splitlines()
-    assert "another simulated rig" in last
-    assert "bus.sock" in last
-    assert all(line.startswith("hil: compiling the plant (once)") for line in before), "of a new clone"
-    assert shared.rig.poll() is None

@@ -114,20 +114,6 @@ def test_sighup_ends_it_like_sigterm(running: Running) -> None:
     assert running.rig.wait(patience_s()) == 0
 
 
-def test_a_lease_file_with_a_wrong_byte_costs_the_lease_and_nothing_else(running: Running) -> None:
-    running.do("arm")
-    runtime = Runtime.of(daemons.name_of(running.file))
-    gateway = daemons.process_with("rigctl.gateway.gateway_process", str(runtime.directory))
-    file = runtime.directory / "lease.json"
-    whole = file.read_bytes()
-    file.write_bytes(whole[:20] + b"\xff" + whole[21:])
-    os.kill(gateway, signal.SIGKILL)
-    until(lambda: daemons.state(running.file), log=running.log)
-    state = daemons.state(running.file)
-    assert (state["mode"], state["lease"]) == ("HOLD", None)
-    assert running.log.read_text().count("gateway process") == 1
-
-
 def test_a_damaged_active_json_is_written_anew_for_a_process_that_comes_back(running: Running) -> None:
     runtime = Runtime.of(daemons.name_of(running.file))
     before = runtime.read_json("active.json")

@@ -6,7 +6,6 @@ import json
 import os
 import pathlib
 import signal
-import socket
 import stat
 import subprocess
 import sys
@@ -131,21 +130,6 @@ def test_another_port_is_named_with_the_daemons_own(rig: pathlib.Path) -> None:
     assert f"port nothing listens at {where}; this computer's daemon: {daemons.name_of(rig)} at" in text
     assert "mode HOLD" in text
     assert f"1 rigctl status --connect {daemons.endpoint(rig)}" in text
-
-
-def test_a_port_of_another_program_is_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        where = f"tcp/127.0.0.1:{other.getsockname()[1]}"
-        code, text = status("--connect", where)
-    assert code == 1
-    assert f"port what listens at {where} is no daemon, or a gateway that hangs" in text
-
-
-def test_an_unknown_host_is_one_line_and_exit_2() -> None:
-    code, text = status("--connect", "tcp/no-such-host.invalid:7447")
-    assert code == 2
-    assert text.startswith("rigctl: host no-such-host.invalid is not known to this computer (")
-    assert "what the rig does is not known from here. 1 Correct it: --connect PROTOCOL/HOST:PORT" in text
 
 
 def test_a_refused_key_is_not_allowed_and_shows_the_loop_of_this_computer(

@@ -104,12 +104,6 @@ def test_the_text_is_clean(served: PrometheusBridge) -> None:
     assert {family.type for family in found} >= {"gauge", "counter", "histogram", "stateset", "info"}
 
 
-def test_a_foreign_name_that_points_here_reads_nothing(served: PrometheusBridge) -> None:
-    foreign = urllib.request.Request(served.url, headers={"Host": "rig.attacker.example"})
-    with pytest.raises(urllib.error.HTTPError, match="421"):
-        urllib.request.urlopen(foreign, timeout=patience_s())
-
-
 def test_it_ends_with_a_signal(served: PrometheusBridge) -> None:
     served.process.send_signal(signal.SIGTERM)
     _, said = served.process.communicate(timeout=patience_s())

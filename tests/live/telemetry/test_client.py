@@ -13,7 +13,7 @@ import pytest
 import rigctl.client
 from rigctl.ipc.ledger import IN_FORCE, Standing
 from rigctl.ipc.record import RECORD
-from tests.builders.miniature import Daemon, free_port
+from tests.builders.miniature import Daemon
 from tests.builders.paths import ROOT
 from tests.builders.waiting import patience_s, until
 
@@ -200,21 +200,6 @@ def test_an_unknown_schema_version_is_refused_in_one_line() -> None:
     finally:
         daemon.close()
     assert str(refused.value) == "found schema version 99, this client knows 2: use that daemon's own client"
-
-
-def test_what_is_no_endpoint_no_rig_or_not_there_is_one_line(shared: Daemon) -> None:
-    shared.rig().close()
-    nowhere = f"tcp/127.0.0.1:{free_port()}"
-    for arguments, error, says in (
-        (("nonsense",), rigctl.client.ChoiceError, "found endpoint 'nonsense', expected e.g. tcp/127.0.0.1:7447"),
-        ((shared.endpoint, "No Such"), rigctl.client.ChoiceError, "found rig 'No Such', expected a rig's name"),
-        ((shared.endpoint, "other"), rigctl.client.NoDaemonError, "no daemon of other answers at"),
-        ((nowhere,), rigctl.client.NoDaemonError, f"no daemon answers at {nowhere}"),
-    ):
-        with pytest.raises(error) as refused:
-            rigctl.client.connect(*arguments)
-        assert says in str(refused.value)
-        assert "\n" not in str(refused.value)
 
 
 def test_importing_it_brings_nothing_heavy() -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import pathlib
-import threading
 from collections.abc import Iterator
-from typing import Any
 
 import pytest
 import zenoh
@@ -73,30 +71,6 @@ def test_preflight_refusal_lists_the_checks(refusing: Daemon) -> None:
     assert refused["checks"] == words
     hint = "a device that was switched off or a CAN interface that was unplugged needs the daemon started anew"
     assert refused["text"] == f"ARM refused: {'; '.join(words)} ({hint})"
-
-
-def test_two_at_once(own: Daemon) -> None:
-    """Arming takes a while; a command given meanwhile gets its reply meanwhile, each at its own client."""
-    answers: list[tuple[float | None, dict[str, Any]]] = []
-    with own.client() as first:
-        lease = first.take_lease("kim")["lease"]["id"]
-
-    def give(verb: str, value: float | None = None) -> None:
-        with Client(own.endpoint) as client:
-            client.leases[KIM] = lease
-            answers.append((value, client.command(verb, "kim", value)))
-
-    threads = [threading.Thread(target=give, args=("arm",))]
-    threads += [threading.Thread(target=give, args=("target", 100.0 + n)) for n in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(answers) == 9
-    for value, answer in answers:
-        assert answer["accepted"]
-        assert answer["verb"] == ("arm" if value is None else "target")
-        assert value is None or answer["value"] == value
 
 
 def test_a_silent_loop_is_said_so(shared: Daemon) -> None:

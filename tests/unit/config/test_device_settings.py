@@ -10,7 +10,6 @@ import pytest
 from rigctl.config import rig_file as config
 from rigctl.config.settings import RigSettings
 from rigctl.demo.live_rig import rig_file
-from rigctl.devices import busload
 from tests.builders.paths import ROOT
 from tests.unit.hil.test_parameter_sets import with_set
 
@@ -73,13 +72,6 @@ def test_a_speed_that_does_not_fit_in_32_bits_is_refused(tmp_path: pathlib.Path)
         load(tmp_path, units, fast)
     words = "cylinder.speed_units_per_mm_s: found 6000000.0, expected up to 5.36871e+06: tension.speed_max_mm_s fits"
     assert any(words in line for line in refused.value.findings)
-
-
-def test_both_frames_of_a_stock_drive_load_the_bus() -> None:
-    before, stock = config.load(ROOT / "config/paper_rig.yaml"), with_set("stock_drive")
-    one, two = busload.bus_load(before), busload.bus_load(stock)
-    assert one is not None and two is not None
-    assert two - one == pytest.approx(0.075, abs=0.005)  # 6 and 4 bytes for 8: 77 bits a millisecond more
 
 
 def test_a_rig_file_written_for_a_demo_is_read_back_the_same(tmp_path: pathlib.Path) -> None:

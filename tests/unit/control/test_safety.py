@@ -20,7 +20,7 @@ from rigctl.model.checks import Check
 from rigctl.model.events import Kind, worded
 from rigctl.model.faults import Fault
 from rigctl.model.reactions import Action
-from rigctl.model.states import EStop, Mode
+from rigctl.model.states import Mode
 from tests.builders.outcomes import WatchLog
 from tests.builders.paths import ROOT
 from tests.builders.snapshots import changed
@@ -121,63 +121,6 @@ def test_a_row_that_recovers_starts_again(row: Row) -> None:
     assert watch.trips(snapshot, mode, 0) is None
     assert watch.trips(GOOD, mode, row.persistence_ns // 2) is None
     assert watch.trips(snapshot, mode, row.persistence_ns) is None
-
-
-def test_every_armed_mode_watches_every_signal_it_needs() -> None:
-    needed = {Fault.BUS_SILENT, Fault.DRIVE_STALE, Fault.CELL_STALE, Fault.INCLINATION_STALE, Fault.DRIVE_FAULT,
-              Fault.CELL_INVALID, Fault.INCLINATION_INVALID, Fault.TENSION_HIGH, Fault.OVERRUN}  # fmt: skip
-    for mode in set(Mode) - {Mode.DISARMED}:
-        assert needed <= {row.fault for row in ROWS if mode in row.modes}
-
-
-def test_a_fault_whose_cause_is_there_cannot_be_reset_but_the_drives_own_can() -> None:
-    watch = WatchLog(SETTINGS)
-    assert watch.present(GOOD) is Fault.NONE
-    assert watch.present(replace(GOOD, cell_age_ns=20 * MS)) is Fault.CELL_STALE
-    assert watch.present(replace(GOOD, drive_faulted=True)) is Fault.NONE
-
-
-@pytest.mark.parametrize(
-    ("bad", "check"),
-    [
-        ({"cell_heard": False}, Check.CELL_STALE),
-        ({"cell_quality": 1}, Check.CELL_INVALID),
-        ({"inclination_age_ns": 101 * MS}, Check.INCLINATION_STALE),
-        ({"inclination_quality": 1}, Check.INCLINATION_INVALID),
-        ({"drive_heard": False}, Check.DRIVE_STALE),
-        ({"drive_faulted": True}, Check.DRIVE_FAULT),
-        ({"tension_n": 401.0}, Check.TENSION_HIGH),
-        ({"reading_n": 401.0}, Check.TENSION_HIGH),
-        ({"e_stop": True}, Check.E_STOP),
-        ({"e_stop": int(EStop.IO_NODE)}, Check.E_STOP_IO),
-        ({"e_stop": int(EStop.DRIVE | EStop.IO_NODE)}, Check.E_STOP | Check.E_STOP_IO),
-        ({"tension_n": float("nan")}, Check.TENSION_HIGH),
-        ({"stroke_mm": 123.0}, Check.STROKE_RANGE),
-        ({"stroke_mm": float("nan")}, Check.STROKE_RANGE),
-        ({"stroke_mm": 118.1}, Check.STROKE_NEAR_END),
-        ({"stroke_mm": -18.1}, Check.STROKE_NEAR_END),
-        ({"stroke_mm": 121.9}, Check.STROKE_NEAR_END),
-        ({"stroke_mm": -22.1}, Check.STROKE_RANGE),
-        ({"drive_status.e_stop_unseen": True}, Check.E_STOP_UNSEEN),
-    ],
-)
-def test_preflight_names_what_failed(bad: dict[str, object], check: Check) -> None:
-    assert preflight(GOOD, SETTINGS, set(), Check(0)) == Check(0)
-    snapshot = changed(GOOD, bad)
-    assert preflight(snapshot, SETTINGS, set(), Check(0)) == check
-    known = Check.DRIVE_SUPERVISION | Check.CALIBRATION | Check.DISK | Check.TARE
-    assert preflight(snapshot, SETTINGS, set(), known) == check | known
-
-
-@pytest.mark.parametrize(("stroke_mm", "check"), [(121.9, Check(0)), (-21.9, Check(0)), (122.1, Check.STROKE_RANGE)])
-def test_an_operator_may_arm_near_an_end_but_not_beyond_it(stroke_mm: float, check: Check) -> None:
-    snapshot = replace(GOOD, stroke_mm=stroke_mm)
-    assert preflight(snapshot, SETTINGS, set(), Check(0), near_end=True) == check
-
-
-def test_nothing_has_been_seen_at_first() -> None:
-    unseen = preflight(Snapshot(), SETTINGS, set(), Check(0))
-    assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -291,10 +234,6 @@ def test_a_weaker_row_never_takes_the_place_of_a_stronger_one_before_it() -> Non
     assert (trip.fault, trip.action) == (Fault.E_STOP, Action.QUICK_STOP)
 
 
-def test_a_rival_that_is_still_heard_keeps_its_fault_from_being_reset() -> None:
-    assert WatchLog(SETTINGS).present(replace(GOOD, master_age_ns=10 * MS)) is Fault.RIVAL
-
-
 def test_a_rig_without_an_io_node_watches_for_none() -> None:
     watch = WatchLog(PAPER)
     never = replace(GOOD, io_age_ns=1 << 62)
@@ -304,16 +243,6 @@ def test_a_rig_without_an_io_node_watches_for_none() -> None:
     }
     assert watch.trips(never, Mode.COMPENSATING, 0) is None
     assert watch.present(never) is Fault.NONE
-
-
-@pytest.mark.parametrize("pressed", [EStop.DRIVE, EStop.IO_NODE, EStop.DRIVE | EStop.IO_NODE])
-@pytest.mark.parametrize("mode", Mode)
-def test_a_press_trips_wherever_it_is_seen_and_its_value_says_where(mode: Mode, pressed: EStop) -> None:
-    snapshot = replace(GOOD, e_stop=int(pressed))
-    trip = WatchLog(SETTINGS).trips(snapshot, mode, 0)
-    assert trip is not None
-    assert (trip.fault, trip.value, trip.action) == (Fault.E_STOP, float(pressed), Action.QUICK_STOP)
-    assert WatchLog(SETTINGS).present(snapshot) is Fault.E_STOP
 
 
 def test_what_is_said_of_a_fault_has_its_numbers_in_the_unit_beside_them() -> None:

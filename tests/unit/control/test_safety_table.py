@@ -204,16 +204,6 @@ def test_bounds_that_follow_from_the_rig_file() -> None:
     assert limit("INNOVATION", "samples", "estimator", reject_limit=7) == 6
 
 
-def test_a_row_acts_at_its_persistence_and_not_before() -> None:
-    watch, bad = WatchLog(SETTINGS), changed(GOOD, {"plausibility.cell_unrest_n": 1.0})
-    assert watch.trips(bad, Mode.HOLD, 7) is None
-    assert watch.trips(bad, Mode.HOLD, 5 * MS + 6) is None
-    trip = watch.trips(bad, Mode.HOLD, 5 * MS + 7)
-    assert trip is not None
-    assert (trip.fault, trip.value, trip.action, trip.text) == (Fault.CELL_NOISY, 1.0, Action.HOLD, "")
-    assert trip.limit == pytest.approx(0.9)
-
-
 def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it() -> None:
     rows = [LimitSettings(signal="lateness_us", high=500.0, action="log", modes=["HOLD"]),
             LimitSettings(signal="drive_current_a", high=5.0, action="ramp_down", modes=["HOLD"])]  # fmt: skip
@@ -257,6 +247,7 @@ def test_a_logged_limit_is_told_with_what_it_found_and_hides_nothing_behind_it()
         ({"signs.drive_reversed": True}, "NONE"), ({"signs.cell_reversed": True}, "NONE"),
         ({"slope_rejects": 99}, "NONE"),
         ({"tension_n": 1.0}, "NONE"), ({"cell_age_ns": 15 * MS}, "NONE"),
+        ({"master_age_ns": 10 * MS}, "RIVAL"), ({}, "NONE"),
     ],
 )  # fmt: skip
 def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str) -> None:
@@ -277,22 +268,31 @@ def test_what_keeps_a_fault_from_being_reset(bad: dict[str, object], fault: str)
         ({"e_stop": 3}, False, "E_STOP E_STOP_IO"),
         ({"drive_status.e_stop_unseen": True}, False, "E_STOP_UNSEEN"),
         ({"stroke_unconfirmed": True}, False, "STROKE_UNCONFIRMED"),
+        ({"stroke_mm": 123.0}, False, "STROKE_RANGE"), ({"stroke_mm": math.nan}, False, "STROKE_RANGE"),
+        ({"cell_heard": False}, False, "CELL_STALE"), ({"cell_quality": 1}, False, "CELL_INVALID"),
+        ({"inclination_age_ns": 101 * MS}, False, "INCLINATION_STALE"),
+        ({"inclination_quality": 1}, False, "INCLINATION_INVALID"),
+        ({"drive_heard": False}, False, "DRIVE_STALE"), ({"drive_faulted": True}, False, "DRIVE_FAULT"),
+        ({"tension_n": 401.0}, False, "TENSION_HIGH"), ({"reading_n": 401.0}, False, "TENSION_HIGH"),
+        ({"tension_n": math.nan}, False, "TENSION_HIGH"),
     ],
 )  # fmt: skip
 def test_preflight_at_its_bounds(seen: dict[str, object], near_end: bool, failing: str) -> None:
-    snapshot = changed(GOOD, seen)
+    """With the checks that others have found, too."""
+    snapshot, known = changed(GOOD, seen), Check.DRIVE_SUPERVISION | Check.CALIBRATION | Check.DISK | Check.TARE
     found = preflight(snapshot, SETTINGS, set(), Check(0), near_end=near_end)
     assert {check.name for check in found} == set(failing.split())
+    assert preflight(snapshot, SETTINGS, set(), known, near_end=near_end) == found | known
+
+
+def test_nothing_has_been_seen_at_first() -> None:
+    unseen = preflight(Snapshot(), SETTINGS, set(), Check(0))
+    assert Check.CELL_STALE | Check.DRIVE_STALE | Check.INCLINATION_STALE | Check.STROKE_RANGE in unseen
 
 
 def test_what_no_gateway_has_told_stands_against_arming() -> None:
     assert {check.name for check in HOST_CHECKS} == {"TARE", "MARGINS", "REALTIME", "DISK", "HOST"}
     assert not preflight(GOOD, SETTINGS, {Fault.DRIVE_STALE}, Check(0))
-
-
-def test_an_io_nodes_input_that_would_trip_as_unseen_stands_against_arming() -> None:
-    found = preflight(GOOD, SETTINGS, {Fault.E_STOP_UNSEEN}, Check(0))
-    assert found == Check.E_STOP_IO_UNSEEN
 
 
 def leaves(value: object) -> Iterator[object]:

@@ -235,17 +235,6 @@ def test_a_connection_with_a_command_under_way_is_not_the_one_that_goes(gateway:
     first.close()
 
 
-def test_a_question_that_the_gateway_did_not_take_is_asked_again_and_given_once(gateway: Gateway) -> None:
-    client = CommandConnections(gateway.place)
-    for number in range(5):
-        assert client.ask("cmd/arm", str(number).encode(), patience_s())[0]
-        gateway.socket.close()
-        given, gateway.given = gateway.given, []
-        gateway.socket = CommandSocket(gateway.runtime, gateway.take, lambda: STATE)
-        gateway.socket.open()
-        assert [payload for _, payload, _ in given] == [str(number).encode()]
-
-
 def test_of_many_at_a_time_each_gets_its_own_answer(gateway: Gateway) -> None:
     client, found = CommandConnections(gateway.place), dict[str, str]()
 
@@ -262,25 +251,6 @@ def test_of_many_at_a_time_each_gets_its_own_answer(gateway: Gateway) -> None:
     assert len(found) == 400
     assert all(text == answer for text, answer in found.items())
     client.close()
-
-
-def test_a_gateway_that_ends_with_a_command_under_way_leaves_no_answer(gateway: Gateway) -> None:
-    client, found = CommandConnections(gateway.place), list[Exception]()
-
-    def ask() -> None:
-        try:
-            client.ask("cmd/release", b"{}", patience_s())
-        except OSError as error:
-            found.append(error)
-
-    thread = threading.Thread(target=ask)
-    thread.start()
-    until(lambda: gateway.waiting)
-    gateway.socket.close()
-    thread.join(patience_s())
-    assert len(found) == 1
-    assert len(gateway.given) == 1  # not repeated: it may have been carried out
-    gateway.waiting[0]({"accepted": True, "text": "late"})  # whose connection has gone
 
 
 def test_questions_in_a_row_are_answered_in_order_one_at_a_time(gateway: Gateway) -> None:

@@ -52,6 +52,80 @@ def cause(fault: Fault, action: Action = Action.HOLD) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def note(kind: Note, at_s: float, cause: str, reason: str = "") -> dict[str, Any]:
+    return {
+        "source": "gateway", "kind": kind.name, "operator": "kim", "other": cause, "reason": reason,
+        "wall_ns": round(at_s * S),
+    }  # fmt: skip
+
+
+def reset(at_s: float, fault: Fault = Fault.CELL_STALE) -> dict[str, Any]:
+    return event(Kind.RESET, at_s, fault)
+
+
+HIGH, URGENT = Priority.HIGH, Priority.URGENT
+ACKNOWLEDGED = note(Note.ALARM_ACKNOWLEDGED, 1, "CELL_STALE")
+LIMIT = [event(Kind.TRIP, at, Fault.LIMIT, Action.HOLD, 9, 5, "tension_n above") for at in (0.0, 60.0)]
+DRIVE = [event(Kind.TRIP, at, Fault.DRIVE_FAULT, Action.HOLD, 9, 5) for at in (0.0, 60.0)]
+ERROR, NO_ERROR = (event(Kind.EMERGENCY, at, 5, code, about="00") for at, code in ((0, 0x8130 | 0x11 << 16), (1, 0)))
+COURSES: dict[str, tuple[list[dict[str, Any]], dict[str, Any] | None, list[tuple[Priority, str, int]]]] = {
+    "a trip has the priority of the rig's reaction: a ramp down": (
+        [trip(0, action=Action.RAMP_DOWN)], None, [(HIGH, "active", 1)]
+    ),
+    "a hold": ([trip(0)], None, [(HIGH, "active", 1)]),
+    "a quick stop": ([trip(0, action=Action.QUICK_STOP)], None, [(URGENT, "active", 1)]),
+    "a power off": ([trip(0, action=Action.POWER_OFF)], None, [(URGENT, "active", 1)]),
+    "the strongest reaction of one cause is its priority": (
+        [trip(0, action=Action.POWER_OFF), over(1), trip(2)], None, [(URGENT, "active", 2)]
+    ),
+    "so is that of the state": (
+        [trip(0)], CALM | {"causes": [cause(Fault.CELL_STALE, Action.QUICK_STOP)]}, [(URGENT, "active", 1)]
+    ),
+    "a cause that trips while it is active has come once": (
+        [trip(0), event(Kind.CAUSE, 1.0, Fault.CELL_STALE, Action.HOLD, 12e6, 5e6)], None, [(HIGH, "active", 1)]
+    ),
+    "one that no event has ended and no state names is not watched": ([trip(0)], CALM, [(HIGH, "not watched", 1)]),
+    "it stays once it is over": ([trip(0), over(1)], CALM, [(HIGH, "cleared", 1)]),
+    "until its reset": ([trip(0), over(1), reset(2)], CALM, []),
+    "which does not hide what comes again": ([trip(0), over(1), reset(2), trip(3)], None, [(HIGH, "active", 2)]),
+    "nor where the end of its cause was not reported": ([DRIVE[0], reset(30, Fault.DRIVE_FAULT)], CALM, []),
+    "but again": ([DRIVE[0], reset(30, Fault.DRIVE_FAULT), DRIVE[1]], None, [(HIGH, "active", 2)]),
+    "a limit too": ([LIMIT[0], event(Kind.RESET, 30, Fault.LIMIT)], CALM, []),
+    "and again": ([LIMIT[0], event(Kind.RESET, 30, Fault.LIMIT), LIMIT[1]], None, [(HIGH, "active", 2)]),
+    "or its acknowledgement": ([trip(0), ACKNOWLEDGED, over(3)], None, []),
+    "after which it comes again": ([trip(0), ACKNOWLEDGED, over(3), trip(5)], None, [(HIGH, "active", 2)]),
+    "a device withdraws its emergency": ([ERROR, NO_ERROR], CALM, [(Priority.LOW, "cleared", 1)]),
+    "and until then it is active": ([ERROR], CALM, [(Priority.LOW, "active", 1)]),
+    "a restart of the loop ends what was active": (
+        [event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), event(Kind.STARTED, 1)], CALM,
+        [(Priority.LOW, "cleared", 1)],
+    ),
+    "lateness is no alarm": ([event(Kind.CLOCK, 0, 3)], CALM, []),
+}  # fmt: skip
+"""Events and newest state, and of each row its priority, condition and how often it has come."""
+
+
+@pytest.mark.parametrize("course", COURSES)
+def test_of_events_and_state_come_these_rows(course: str) -> None:
+    events, state, expected = COURSES[course]
+    rows = Alarms(events).rows(state, 61 * S)
+    assert [(row.priority, row.condition, row.count) for row in rows] == expected
+    assert not any(row.acknowledged for row in rows)
+
+
+def test_an_acknowledged_row_stays_while_its_cause_is_active() -> None:
+    (row,) = Alarms([trip(0), ACKNOWLEDGED]).rows(None, 2 * S)
+    assert row.acknowledged == "kim"
+
+
+def test_a_chattering_alarm_is_one_row() -> None:
+    events = [event for at in range(50) for event in (trip(at), over(at + 0.5))]
+    (row,) = Alarms(events).rows(CALM, 50 * S)
+    assert (row.count, row.first_ns, row.last_ns, row.stands) == (50, 0, 49 * S, False)
+    assert row.chatters(50 * S)
+    assert not row.chatters(50 * S + CHATTERING_NS)
+
+
 def test_a_trip_is_a_row_with_words_remedy_value_and_limit() -> None:
     (row,) = Alarms([trip(3.0)]).rows(CALM | {"causes": [cause(Fault.CELL_STALE)]}, 4 * S)
     assert (row.cause, row.priority, row.count, row.first_ns) == ("CELL_STALE", Priority.HIGH, 1, 3 * S)
@@ -59,20 +133,6 @@ def test_a_trip_is_a_row_with_words_remedy_value_and_limit() -> None:
     assert row.text == fault_text(Fault.CELL_STALE, 12e6, 5e6)
     assert row.remedy == Fault.CELL_STALE.remedy
     assert row.stands
-
-
-@pytest.mark.parametrize(("action", "priority"), [
-    (Action.RAMP_DOWN, Priority.HIGH), (Action.HOLD, Priority.HIGH), (Action.QUICK_STOP, Priority.URGENT),
-    (Action.POWER_OFF, Priority.URGENT),
-])  # fmt: skip
-def test_the_priority_is_that_of_the_rigs_reaction(action: Action, priority: Priority) -> None:
-    (row,) = Alarms([trip(0, action=action)]).rows(None, S)
-    assert row.priority is priority
-
-
-def test_the_stronger_reaction_of_one_cause_is_its_priority() -> None:
-    (row,) = Alarms([trip(0, action=Action.POWER_OFF), over(1), trip(2)]).rows(None, 3 * S)
-    assert (row.priority, row.count) == (Priority.URGENT, 2)
 
 
 def test_a_stuck_cell_has_its_limit_and_a_unit() -> None:
@@ -155,39 +215,6 @@ def test_a_priority_does_not_fall_while_the_alarm_is_open() -> None:
     assert (row.priority, row.count) == (Priority.HIGH, 3)
 
 
-def test_a_stronger_reaction_raises_the_priority_of_an_active_cause() -> None:
-    (row,) = Alarms([trip(0)]).rows(CALM | {"causes": [cause(Fault.CELL_STALE, Action.QUICK_STOP)]}, S)
-    assert row.priority is Priority.URGENT
-
-
-def test_a_chattering_alarm_is_one_row() -> None:
-    events = [event for at in range(50) for event in (trip(at), over(at + 0.5))]
-    (row,) = Alarms(events).rows(CALM, 50 * S)
-    assert (row.count, row.first_ns, row.last_ns, row.stands) == (50, 0, 49 * S, False)
-    assert row.chatters(50 * S)
-    assert not row.chatters(50 * S + CHATTERING_NS)
-
-
-def test_a_cause_that_trips_while_it_stands_has_come_once() -> None:
-    again = event(Kind.CAUSE, 1.0, Fault.CELL_STALE, Action.HOLD, 12e6, 5e6)
-    (row,) = Alarms([trip(0), again]).rows(None, 2 * S)
-    assert row.count == 1
-
-
-def test_a_row_stays_until_it_is_over_and_acknowledged() -> None:
-    alarms = Alarms([trip(0), over(1)])
-    (row,) = alarms.rows(CALM, 2 * S)
-    assert not row.stands
-    alarms.note(event(Kind.RESET, 2, Fault.CELL_STALE))
-    assert alarms.rows(CALM, 3 * S) == []
-
-
-def test_a_reset_does_not_hide_what_comes_again() -> None:
-    alarms = Alarms([trip(0), over(1), event(Kind.RESET, 2, Fault.CELL_STALE), trip(3)])
-    (row,) = alarms.rows(None, 4 * S)
-    assert (row.count, row.acknowledged, row.stands) == (2, "", True)
-
-
 def test_each_limit_of_the_rig_file_has_its_own_row() -> None:
     names = ("tension_n above", "stroke_mm above")
     alarms = Alarms([event(Kind.LIMIT, at, Fault.LIMIT, Action.LOG, 9, 5, name) for at, name in enumerate(names)])
@@ -250,29 +277,11 @@ def test_a_bus_that_fails_on_is_one_active_alarm_until_a_second_without_a_failur
     assert alarms.rows({**CALM, "wall_ns": 50 * S}, 99 * S)[0].count == 2
 
 
-def test_a_cause_that_no_event_has_ended_and_no_state_names_is_not_watched() -> None:
-    (row,) = Alarms([trip(0)]).rows(CALM, S)
-    assert row.condition == "not watched"
-    (row,) = Alarms([trip(0), over(0.5)]).rows(CALM, S)
-    assert row.condition == "cleared"
-
-
-def test_lateness_makes_no_alarm() -> None:
-    assert Alarms([event(Kind.CLOCK, 0, 3)]).rows(CALM, S) == []
-
-
 @pytest.mark.parametrize("name", ["rig.yaml", "paper_rig.yaml", "plain_rig.yaml"])
 def test_the_manual_says_what_the_limit_on_lateness_that_we_ship_does(name: str) -> None:
     (row,) = [row for row in rig_file.load(ROOT / "config" / name).limits if row.signal == "lateness_us"]
     manual = " ".join((ROOT / "docs/operate-reference.md").read_text().split())
     assert f"`lateness_us` {row.high:g} with action `{row.action}`, a LOW alarm" in manual
-
-
-def test_an_emergency_message_stands_until_the_device_withdraws_it() -> None:
-    alarms = Alarms([event(Kind.EMERGENCY, 0, 5, 0x8130 | 0x11 << 16, about="00")])
-    assert alarms.rows(CALM, S)[0].stands
-    alarms.note(event(Kind.EMERGENCY, 1, 5, 0, about="00"))
-    assert not alarms.rows(CALM, 2 * S)[0].stands
 
 
 def test_an_end_that_a_load_delays_is_an_urgent_alarm_until_the_load_is_lowered() -> None:
@@ -317,12 +326,6 @@ def test_a_start_is_no_silent_loop_and_a_loop_that_is_started_again_says_what_it
     (row,) = Alarms().rows(CALM | {"loop_alive": False, "waits_for": "heartbeat of the drive"}, S)
     assert row.cause == LOOP_SILENT
     assert row.remedy == "A new loop starts, and waits for: heartbeat of the drive."
-
-
-def test_a_restart_of_the_loop_ends_what_stood() -> None:
-    (row,) = Alarms([event(Kind.LIMIT, 0, Fault.LIMIT, Action.LOG, 9, 5, "tension_n above"), event(Kind.STARTED, 1)]
-                    ).rows(CALM, 2 * S)  # fmt: skip
-    assert not row.stands
 
 
 def test_a_port_that_another_program_has_is_an_alarm_until_it_is_back() -> None:
@@ -373,24 +376,6 @@ def test_value_and_limit_are_those_of_the_words(fault: Fault) -> None:
         assert figure(fault, name, None) == figure(fault, name, math.nan) == ""
 
 
-def note(kind: Note, at_s: float, cause: str, reason: str = "") -> dict[str, Any]:
-    return {
-        "source": "gateway", "kind": kind.name, "operator": "kim", "other": cause, "reason": reason,
-        "wall_ns": round(at_s * S),
-    }  # fmt: skip
-
-
-def test_an_acknowledged_row_stays_while_its_cause_stands_and_is_back_with_the_next() -> None:
-    alarms = Alarms([trip(0), note(Note.ALARM_ACKNOWLEDGED, 1, "CELL_STALE")])
-    (row,) = alarms.rows(None, 2 * S)
-    assert row.acknowledged == "kim"
-    alarms.note(over(3))
-    assert alarms.rows(None, 4 * S) == []
-    alarms.note(trip(5))
-    (row,) = alarms.rows(None, 6 * S)
-    assert (row.acknowledged, row.count) == ("", 2)
-
-
 def test_a_shelved_row_is_last_until_its_time_is_over() -> None:
     alarms = Alarms([trip(0, Fault.E_STOP, Action.POWER_OFF), trip(1, Fault.CELL_STALE)])
     alarms.note(note(Note.ALARM_SHELVED, 2, "E_STOP", "60 s: being repaired"))
@@ -411,16 +396,6 @@ def test_a_note_of_another_form_shelves_nothing(reason: str) -> None:
 def test_no_shelf_lasts_longer_than_a_shift() -> None:
     alarms = Alarms([trip(0), note(Note.ALARM_SHELVED, 0, "CELL_STALE", "999999 s: long")])
     assert not alarms.rows(None, LONGEST_SHELF_S * S)[0].shelved(LONGEST_SHELF_S * S)
-
-
-@pytest.mark.parametrize(("fault", "about"), [(Fault.DRIVE_FAULT, ""), (Fault.LIMIT, "tension_n above")])
-def test_a_fault_that_trips_again_after_its_reset_is_a_new_occurrence(fault: Fault, about: str) -> None:
-    """A trip whose cause was reset without a word of its end left the next one acknowledged, and so out of sight."""
-    tripped = [event(Kind.TRIP, at, fault, Action.HOLD, 9, 5, about) for at in (1.0, 60.0)]
-    reset = event(Kind.RESET, 30.0, fault, 0, 0, 0)
-    assert Alarms([tripped[0], reset]).rows(CALM, 31 * S) == []
-    (row,) = Alarms([tripped[0], reset, tripped[1]]).rows(CALM, 61 * S)
-    assert (row.count, row.first_ns, row.last_ns, row.acknowledged) == (2, 1 * S, 60 * S, "")
 
 
 KINDS = st.sampled_from([Kind.TRIP, Kind.CAUSE, Kind.CAUSE_OVER, Kind.RESET, Kind.STARTED, Kind.LIMIT, Kind.LIMIT_OVER])
