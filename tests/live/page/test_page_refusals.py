@@ -14,10 +14,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 from websockets.typing import Origin
 
-from rigctl.config import rig_file as config
 from rigctl.config.address import Address, AddressError
 from rigctl.page.guard import HEADERS, Guard
-from tests.builders import daemons
 from tests.builders.miniature import Daemon, free_port
 from tests.builders.pages import Server, serving
 from tests.builders.paths import ROOT
@@ -258,14 +256,3 @@ def test_an_address_is_read_and_written_the_same(text: str, loopback: bool) -> N
     address = Address.parse(text)
     assert str(address) == text
     assert address.is_loopback is loopback
-
-
-def test_a_page_section_is_checked_with_the_rig_file(tmp_path: Any) -> None:
-    file = daemons.rig_file(tmp_path)
-    file.write_text(file.read_text() + "page: {listen: 'everywhere'}\n")
-    with pytest.raises(config.ConfigError, match=r"page\.listen: found everywhere, expected HOST:PORT"):
-        config.load(file)
-    file.write_text(file.read_text().replace("everywhere", "0.0.0.0:8080"))
-    found = config.load(file).page
-    assert found is not None
-    assert found.address == Address("0.0.0.0", 8080)

@@ -45,30 +45,6 @@ def test_an_input_has_its_sub_index_and_bit(number: int, block: int, mask: int) 
     assert (settings.block, settings.mask) == (block, mask)
 
 
-@pytest.mark.parametrize(
-    ("section", "key", "words"),
-    [
-        ("io: {e_stop_input: 0, node: 4}\n", "cylinder.node", "(io has it)"),
-        ("io: {e_stop_input: 0, node: 1}\n", "io.node", "(can.controller_node has it)"),
-        ("io: {e_stop_input: 0, node: 112}\n", "io.node", "(the simulator has it)"),
-        ("io: {e_stop_input: 0, node: 128}\n", "io.node", "found 128, expected a whole number, 1 to 127"),
-        ("io: {e_stop_input: 64}\n", "io.e_stop_input", "found 64, expected a whole number, 0 to 63"),
-        ("io: {e_stop_input: -1}\n", "io.e_stop_input", "found -1"),
-        ("io: {node: 6}\n", "io.e_stop_input", "found nothing"),
-        ("io: {e_stop_input: 0, eds: none.eds}\n", "io.eds", "found no file none.eds, expected an EDS file"),
-        ("io: {e_stop_input: 0, event_ms: 40}\n", "io.stale_ms", "found 100, expected 3 times event_ms (120) or more"),
-        ("io: {e_stop_input: 0, inhibit_ms: 21}\n", "io.inhibit_ms", "found 21, expected at most event_ms (20)"),
-        ("io: {e_stop_input: 0, e_stop_imput: 1}\n", "io.e_stop_imput", "e_stop_input?"),
-    ],
-)
-def test_what_does_not_fit_is_refused_in_one_line(tmp_path: pathlib.Path, section: str, key: str, words: str) -> None:
-    with pytest.raises(config.ConfigError) as error:
-        load(tmp_path, section)
-    (line,) = error.value.findings
-    assert f" {key}: " in line
-    assert words in line
-
-
 def test_an_input_may_not_be_stale_within_two_periods_of_a_slow_loop(tmp_path: pathlib.Path) -> None:
     settings = load(tmp_path, "io: {e_stop_input: 0, event_ms: 5, stale_ms: 15}\n").model_dump(exclude={"plain"})
     slow = {**settings, "loop": {**settings["loop"], "rate_hz": 100}}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import pathlib
 
 import numpy as np
 import pytest
@@ -108,30 +107,6 @@ def test_a_stretch_is_used_near_rest_only_and_a_pause_counts_for_nothing() -> No
     assert 0.0 < path.gap_n < 0.6 * -math.expm1(-0.15 / COMPARED_S)
     run(path, -50.1, 300.0, 8.0, t_ns=t_ns)
     assert path.gap_n == pytest.approx(0.6, rel=1e-2)
-
-
-SECTION = "second_force: {kind: cell, u_n: 0.1, cell_u_n: 0.2, disagree_n: 1.0}\n"
-
-
-@pytest.mark.parametrize(
-    ("given", "key", "allowed"),
-    [
-        (SECTION.replace("1.0", "0.2"), "second_force.disagree_n", "3 standard uncertainties"),
-        (SECTION.replace("cell,", "stretch,"), "second_force.spring_n_mm", "for stretch only"),
-        (SECTION.replace("cell,", "cell, spring_n_mm: 6,"), "second_force.spring_n_mm", "for stretch only"),
-        (SECTION.replace("cell,", "cell, rate_hz: 300,"), "second_force.rate_hz", "divided by 1 to 240"),
-        (SECTION.replace("cell,", "cell, node: 3,"), "second_force.node", "a node id of its own"),
-        (SECTION.replace("cell,", "cell, eds: none.eds,"), "second_force.eds", "an EDS file"),
-    ],
-)
-def test_a_section_that_does_not_fit_is_refused(tmp_path: pathlib.Path, given: str, key: str, allowed: str) -> None:
-    file = tmp_path / "rig.yaml"
-    file.write_text((ROOT / "config/paper_rig.yaml").read_text() + given)
-    (tmp_path / "eds").symlink_to(ROOT / "config/eds")
-    with pytest.raises(config.ConfigError) as error:
-        config.load(file)
-    assert key in str(error.value)
-    assert allowed in str(error.value)
 
 
 CELL_N = 0.03

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import pathlib
-from typing import Any
-
-import pytest
 
 from rigctl.config import rig_file as config
 from tests.builders.daemons import rig_file
@@ -16,21 +13,3 @@ def test_a_gateway_joins_only_the_routers_of_its_setting(tmp_path: pathlib.Path)
     others = ["tcp/192.168.1.10:7447", "tcp/127.0.0.1:7448"]
     waived = {"join": others, "listen_waiver": "the other router is on a network of the rigs alone"}
     assert config.load(rig_file(tmp_path, {"telemetry": waived})).telemetry.join == others
-
-
-@pytest.mark.parametrize(
-    "join",
-    [
-        "tcp/192.168.1.10:7447",
-        ["192.168.1.10:7447"],
-        ["udp/192.168.1.10:7447"],
-        ["unixsock-stream//run/z.sock"],
-        [7447],
-        ["tcp/a b"],
-        None,
-    ],
-)
-def test_what_is_no_list_of_endpoints_is_refused_in_words(tmp_path: pathlib.Path, join: Any) -> None:
-    with pytest.raises(config.ConfigError) as refused:
-        config.load(rig_file(tmp_path, {"telemetry": {"join": join}}))
-    assert "telemetry.join" in str(refused.value)
