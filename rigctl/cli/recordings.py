@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rigctl.cli.options import DONE, USAGE, Json, end, say, say_json, wrong_usage
-from rigctl.cli.runs import files_named
+from rigctl.cli.recorded_runs import files_named
 from rigctl.model import quantity
 
 if TYPE_CHECKING:

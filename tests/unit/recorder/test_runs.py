@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from rigctl.cli import runs as command
+from rigctl.cli.recorded_runs import files_named
 from rigctl.ipc import runtime_folder
 from rigctl.recorder import parts
 from rigctl.recorder.audit_log import moment
@@ -124,7 +124,7 @@ def test_without_one_daemon_a_name_is_refused(
 def test_a_file_of_that_name_is_the_file(tmp_path: pathlib.Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     pathlib.Path("last").write_text("")
-    assert command.files_named(pathlib.Path("last")) == (pathlib.Path("last"),)
+    assert files_named(pathlib.Path("last")) == (pathlib.Path("last"),)
 
 
 def test_the_runs_of_a_rig_file_need_no_daemon(in_process: Command) -> None:
