@@ -6,7 +6,7 @@ import os
 import pathlib
 from typing import TYPE_CHECKING
 
-from rigctl.cli.options import USAGE, end, load_rig_file
+from rigctl.cli.options import BAD, USAGE, end, load_rig_file
 
 if TYPE_CHECKING:
     from rigctl.recorder.runs import RecordedRun
@@ -30,7 +30,7 @@ def of_rig(file: pathlib.Path) -> list[RecordedRun]:
 
     settings = load_rig_file(file)
     folders = settings.kept(settings.recording.folder), settings.kept(settings.audit.trips)
-    return recorded(*folders, settings.rig, settings.audit_log)
+    return recorded(*map(_readable, folders), settings.rig, settings.audit_log)
 
 
 def of_daemon() -> list[RecordedRun]:
@@ -45,5 +45,21 @@ def of_daemon() -> list[RecordedRun]:
         end(USAGE, f"found {many} on this computer, expected one (or a file, which rigctl runs RIGFILE names)")
     (status,) = found
     folder = (status.get("recording") or {}).get("folder")
-    recordings = pathlib.Path(folder) if folder else None
-    return recorded(recordings, pathlib.Path(status["trips"]), status["rig"], pathlib.Path(status["audit_log"]))
+    recordings = _readable(pathlib.Path(folder)) if folder else None
+    return recorded(
+        recordings, _readable(pathlib.Path(status["trips"])), status["rig"], pathlib.Path(status["audit_log"])
+    )
+
+
+def _readable(folder: pathlib.Path) -> pathlib.Path:
+    """A folder that this user may read, or that is not there; the command ends where another's is."""
+    if not os.access(folder, os.R_OK | os.X_OK) and _is_there(folder):
+        end(BAD, f"{folder} cannot be read: it is another user's; as root it can")
+    return folder
+
+
+def _is_there(folder: pathlib.Path) -> bool:
+    try:
+        return folder.exists()
+    except PermissionError:  # of a folder above it
+        return True

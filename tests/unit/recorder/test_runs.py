@@ -143,3 +143,13 @@ def test_notes_are_those_of_their_run(folders: tuple[pathlib.Path, pathlib.Path]
     log.write_bytes(b"".join(lines) + b'{"what":"operator_note", torn')
     first, second, *_ = recorded(*folders, RIG, log)
     assert (first.notes, second.notes) == (("new rope",), ("second article",))
+
+
+def test_a_folder_of_another_user_is_no_empty_one(
+    folders: tuple[pathlib.Path, pathlib.Path], in_process: Command, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "access", lambda _path, _mode: False)  # root may read everything
+    of_daemon(monkeypatch, status(folders))
+    done = in_process("rigctl", "runs")
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr == f"rigctl: {folders[0]} cannot be read: it is another user's; as root it can\n"
