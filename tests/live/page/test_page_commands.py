@@ -104,7 +104,6 @@ def test_commands_go_through_lease_and_confirmation(seen: PageView, running: Run
     give(seen, "target")
     said(seen, "TARGET: 60 N")
     give(seen, "tension")
-    said(seen, "TENSION: ramping")
     mode(seen, "COMPENSATING")
     said(seen, "TENSION has ended: COMPENSATING")
     assert "no emergency stop" in seen.text("#hold")
