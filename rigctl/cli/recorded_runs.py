@@ -29,8 +29,8 @@ def of_rig(file: pathlib.Path) -> list[RecordedRun]:
     from rigctl.recorder.runs import recorded
 
     settings = load_rig_file(file)
-    folders = settings.kept(settings.recording.folder), settings.kept(settings.audit.trips)
-    return recorded(*map(_readable, folders), settings.rig, settings.audit_log)
+    recordings, trips = settings.kept(settings.recording.folder), settings.kept(settings.audit.trips)
+    return recorded(_readable(recordings), _readable(trips), settings.rig, settings.audit_log)
 
 
 def of_daemon() -> list[RecordedRun]:
