@@ -104,10 +104,12 @@ class Album:
         return shown
 
 
-def rigctl(file: pathlib.Path, *verb: str) -> None:
-    """A command of the operator; its answer is printed."""
+def rigctl(file: pathlib.Path, *verb: str) -> str:
+    """A command of the operator; its answer is printed, and returned."""
     answer = daemons.rigctl(*verb, file=file)
-    print((answer.stdout or answer.stderr).strip(), flush=True)
+    said = (answer.stdout or answer.stderr).strip()
+    print(said, flush=True)
+    return said
 
 
 def held(file: pathlib.Path) -> None:
@@ -136,7 +138,8 @@ def up(file: pathlib.Path, settle_s: float = 0.0) -> None:
                 rigctl(file, "confirm-stroke", f"{state['stroke_mm']:.2f}")
             rigctl(file, "reset")
         elif state.get("mode") == "DISARMED":
-            rigctl(file, "arm")
+            if "reset clears it" in rigctl(file, "arm"):  # the drive is in fault since a loop that has ended
+                rigctl(file, "reset")
         elif state.get("mode") == "HOLD":
             rigctl(file, "tension", "--wait")
         time.sleep(1.0)
@@ -191,9 +194,10 @@ def play(folder: pathlib.Path, work: pathlib.Path, everywhere: bool, names: Coll
         if "loop_stopped" in names:
             up(file)
             os.kill(stopped := daemons.process_with(control, daemons.name_of(file)), signal.SIGSTOP)
-            time.sleep(SHOWN_S)
+            time.sleep(1.0)  # a loop that hangs is replaced within 10 s
             album.shoot("loop_stopped")
-            os.kill(stopped, signal.SIGCONT)
+            with contextlib.suppress(ProcessLookupError):  # the supervisor has replaced it
+                os.kill(stopped, signal.SIGCONT)
         if album.wrong:
             sys.exit("\n".join(album.wrong))
 

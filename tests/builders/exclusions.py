@@ -30,7 +30,7 @@ EXCLUSIONS: tuple[tuple[str, str], ...] = (
     (r"RESET is accepted", r"^bar barred reset|still stopping"),
     (r"^alarm high active E_STOP$|^fault E_STOP", r"^E-stop, drive's input released"),
     (r"holds by itself", r"nothing is driven|drive is off"),
-    (r"LOCK OUT FIRST", r"BRAKE_SLIPS|STROKE_MOVES|LOAD_SINKS"),
+    (r"LOCK OUT FIRST", r"(BRAKE_SLIPS|STROKE_MOVES|LOAD_SINKS)(?!.*cleared)"),
     (r"LOCK OUT FIRST", r"^drive (on|not known|not off|stopping)|held by the motor"),
     (r"LOCK OUT FIRST", r"UNCONFIRMED|which SLIPS|not yet confirmed"),
     (r"drive is on, the stroke may move", r"^drive off|^does .*drive is off"),

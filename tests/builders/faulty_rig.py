@@ -5,6 +5,7 @@ Each line of standard input is a fault of `FAULTS`; an empty line takes all of t
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pathlib
 import struct
@@ -22,6 +23,7 @@ from rigctl.ipc.termination import ENDING, on_signals
 
 _CAN_ID = struct.Struct("<I")
 _TPDO1 = 0x180
+PRIORITY = 1
 TRIP_CODE = 0x2310  # continuous over current (CiA 402)
 
 
@@ -103,6 +105,8 @@ def main(file: pathlib.Path) -> None:
     on_signals(lambda *_: service.stop(), *ENDING)
     threading.Thread(target=read, daemon=True).start()
     print(service.ready, flush=True)
+    with contextlib.suppress(PermissionError):  # devices do not wait for a browser on the same computer
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     try:
         service.run()
     finally:

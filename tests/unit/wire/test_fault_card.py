@@ -6,7 +6,7 @@ import pytest
 
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
-from rigctl.wire.fault_card import SITUATIONS
+from rigctl.wire.fault_card import SITUATIONS, document
 from rigctl.wire.operator_view import view
 from tests.builders.page_states import LOCK_OUT, state
 
@@ -21,3 +21,7 @@ def test_the_card_has_the_entry_of_the_page(entry: str, cause: Fault) -> None:
 def test_a_cause_is_on_one_row() -> None:
     causes = [cause for _, cause in CAUSES]
     assert len(set(causes)) == len(causes)
+
+
+def test_every_row_names_a_part() -> None:
+    assert "*None*" not in document()
