@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
-from rigctl.config.settings_base import Settings
+from rigctl.config.settings_base import Settings, require
 
 
 class EstimatorSettings(Settings):
@@ -22,6 +22,13 @@ class EstimatorSettings(Settings):
     )
     quiet_disturbance_walk_mm_s: float | None = Field(
         default=None, gt=0, le=10_000, description="the same of disturbance_walk_mm_s"
+    )
+    swing_hz: float | None = Field(
+        default=None, gt=0, le=10, description="swing of the rope's stretch, as a state of the filter; null = none"
+    )
+    swing_damping: float = Field(default=0.05, ge=0.001, le=0.9, description="damping ratio of that swing")
+    swing_walk_mm_s: float = Field(
+        default=0.1, gt=0, le=1000, description="process noise of that swing's speed, mm/s/sqrt(s)"
     )
     open_window_ms: float = Field(
         default=100.0, ge=1, le=10_000, description="time constant of the mean innovation that opens a quiet filter"
@@ -54,6 +61,12 @@ class EstimatorSettings(Settings):
     inclination_lag_ms: float = Field(
         default=8.0, ge=0.1, le=1000, description="time constant of the inclinometer's low-pass"
     )
+
+    @model_validator(mode="after")
+    def _one_swing(self) -> EstimatorSettings:
+        if self.swing_hz is not None:
+            require(self.inclination_swing_hz is None, "swing_hz", self.swing_hz, "null beside inclination_swing_hz")
+        return self
 
     @property
     def adapts(self) -> bool:

@@ -330,7 +330,8 @@ class Observer:
         snapshot.rejects = max(kalman.cell.rejects, kalman.drive.rejects)
         snapshot.slope_rejects = max(slope.tangential.rejects, slope.normal.rejects)
         snapshot.cell_nis = kalman.cell.nis
-        tension_n, speed_mm_s, disturbance_mm_s = kalman.ahead()
+        tension_n, speed_mm_s, disturbance_mm_s, swing_lead_mm_s = kalman.ahead()
+        lead_mm_s += swing_lead_mm_s
         snapshot.disturbance_mm_s = disturbance_mm_s
         if not math.isfinite(tension_n + speed_mm_s + disturbance_mm_s + lead_mm_s):
             kalman.reset(self.tension_n, 0.0, kalman.known_mm_s)

@@ -1,7 +1,8 @@
 """The controller of the loop as one linear system, and that system closed around a plant.
 
 Tick n reads the sample latched in tick n - 1, corrects the state of tick n - 1, predicts it to tick n and ahead to
-the instant the command acts, and sends ``u = -w - K_T T - K_v (v + w) - I`` (set-point zero, no limits).
+the instant the command acts, and sends ``u = -w - l - K_T T - K_v (v + w) - I`` (set-point zero, no limits), with w
+the disturbance of all states and l the lead of a swing.
 With the filter at a steady gain that is linear; the margins are of this system, and a test compares it
 with the loop's code.
 """
@@ -16,30 +17,30 @@ from rigctl.control.law.estimator import Array, FilterModel
 from rigctl.control.law.tension import Gains
 from rigctl.design.plant_family import ComplexArray, Member
 
-STATES = 3  # of the filter
-
 
 @dataclass(frozen=True)
 class Controller:
     """``x' = a x + b y``, ``u = c x`` from the samples y = (tension N, speed mm/s) to the command u mm/s.
 
-    State: filter state carried to the last tick (3), last tick's sample (2), commands sent u(n - 1 - d) to
-    u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = 7 + d.
+    State: filter state carried to the last tick (s: 3, or 5 with a swing), last tick's sample (2), commands sent
+    u(n - 1 - d) to u(n - 1) (d + 1), integral (1). Shapes (m, m), (m, 2), (m,) with m = s + 4 + d.
     """
 
     a: Array
     b: Array
     c: Array
+    states: int
+    """s: of the filter."""
 
     def response(self, z: ComplexArray) -> ComplexArray:
         """Command per tension (mm/s per N) and per speed (1), shape (2, len(z)).
 
-        The commands already sent are delays of u itself; without them 6 states remain to be solved for, for any
+        The commands already sent are delays of u itself; without them s + 3 states remain to be solved for, for any
         transport delay.
         """
-        size = len(self.a)
-        sent = np.arange(STATES + 2, size - 1)
-        kept = np.array([*range(STATES + 2), size - 1])
+        size, own = len(self.a), self.states + 2
+        sent = np.arange(own, size - 1)
+        kept = np.array([*range(own), size - 1])
         pencil = z[:, None, None] * np.eye(len(kept)) - self.a[np.ix_(kept, kept)]
         row = np.broadcast_to(self.c[kept].astype(np.complex128)[:, None], (len(z), len(kept), 1))
         through = np.linalg.solve(pencil.transpose(0, 2, 1), row)[:, :, 0]  # c (zI - a)^-1
@@ -50,20 +51,20 @@ class Controller:
 
 
 def controller(model: FilterModel, gains: Gains, filter_gain: Array) -> Controller:
-    """``TensionFilter`` and ``TensionLaw`` over one tick, with a settled gain of the filter (shape (3, 2))."""
+    """``TensionFilter`` and ``TensionLaw`` over one tick, with a settled gain of the filter (shape (s, 2))."""
     return _controller(model, gains, filter_gain)[0]
 
 
 def law_errors(model: FilterModel, gains: Gains, filter_gain: Array) -> Array:
     """Rows that give the law's errors of tension (N) and speed (mm/s) from the controller's state, shape (2, m)."""
     ahead = _controller(model, gains, filter_gain)[1]
-    rows: Array = np.stack([ahead[0], ahead[1] + ahead[2]])
+    rows: Array = np.stack([ahead[0], ahead[1] + model.disturbance @ ahead])
     return rows
 
 
 def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[Controller, Array]:
     """The controller, and the filter's state at the instant at which the command acts, by the controller's state."""
-    delay, n = model.delay_ticks, STATES
+    delay, n = model.delay_ticks, len(model.f)
     state, sample, sent = slice(0, n), slice(n, n + 2), n + 2  # positions in its state; the integral is last
     size = n + 4 + delay
     corrected = np.zeros((n, size))
@@ -75,7 +76,8 @@ def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[C
     for tick in range(delay):
         ahead = model.f @ ahead
         ahead[:, sent + 1 + tick] += model.b[:, 0]
-    command = -np.array([gains.k_tension, gains.k_speed, 1.0 + gains.k_speed]) @ ahead
+    own = np.array([gains.k_tension, gains.k_speed, *np.zeros(n - 2)])
+    command = -(own + (1.0 + gains.k_speed) * model.disturbance + model.lead) @ ahead
     command[-1] -= 1.0
     a, b = np.zeros((size, size)), np.zeros((size, 2))
     a[state] = predicted
@@ -84,7 +86,7 @@ def _controller(model: FilterModel, gains: Gains, filter_gain: Array) -> tuple[C
     a[size - 2] = command
     a[-1] = gains.k_integral * model.period_s * ahead[0]
     a[-1, -1] += 1.0
-    return Controller(a, b, command), ahead
+    return Controller(a, b, command, n), ahead
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
     ),
     "estimator": (
         "speed_noise_mm_s", "cell_noise_scale", "tension_walk_n", "speed_walk_mm_s", "disturbance_walk_mm_s",
-        "quiet_tension_walk_n", "quiet_disturbance_walk_mm_s",
+        "quiet_tension_walk_n", "quiet_disturbance_walk_mm_s", "swing_hz", "swing_damping", "swing_walk_mm_s",
     ),
     "design": ("stretch_weight", "integral_weight", "command_weight"),
 }  # fmt: skip

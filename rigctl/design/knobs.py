@@ -1,7 +1,8 @@
 """The weights of our law that a search may turn: keys of the rig file with the widest sensible range.
 
 Of stretch, integral and command weight only the ratios count, and of the filter's noises only those to the cell's, so
-one of each kind stays as it is. The quiet setting's are turned where the settings are `searchable`.
+one of each kind stays as it is. The quiet setting's are turned where the settings are `searchable`, those of the swing
+where its frequency is set: its damping is how long the filter remembers it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ KNOBS = (
     Knob("estimator.speed_walk_mm_s", 1e-3, 10.0),
 )
 QUIETER = 0.5  # first walks of a quiet setting over the open one's: near enough for any design to bear
+_OF_SWING = (Knob("estimator.swing_walk_mm_s", 1e-3, 100.0), Knob("estimator.swing_damping", 0.003, 0.9))
 _OF_QUIET = (
     Knob("estimator.quiet_tension_walk_n", 1e-5, 3.0),
     Knob("estimator.quiet_disturbance_walk_mm_s", 0.01, 300.0),
@@ -52,7 +54,8 @@ def searchable(settings: RigSettings) -> RigSettings:
 
 def knobs_for(settings: RigSettings) -> tuple[Knob, ...]:
     """The weights that act in these settings."""
-    return (*KNOBS, *(knob for knob in _OF_QUIET if value_of(settings, knob.key) is not None))
+    swings = _OF_SWING if settings.estimator.swing_hz is not None else ()
+    return (*KNOBS, *swings, *(knob for knob in _OF_QUIET if value_of(settings, knob.key) is not None))
 
 
 def value_of(settings: RigSettings, key: str) -> Any:

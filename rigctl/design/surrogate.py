@@ -71,7 +71,9 @@ class OurLaw:
         kalman = self._filter
         kalman.update(tension_n, speed_mm_s)
         kalman.predict()
-        command = self._law.compensating(Estimate(*kalman.ahead(), self._stroke_mm), 1.0)
+        tension_n, speed_mm_s, disturbance_mm_s, lead_mm_s = kalman.ahead()
+        estimate = Estimate(tension_n, speed_mm_s, disturbance_mm_s, self._stroke_mm, lead_mm_s)
+        command = self._law.compensating(estimate, 1.0)
         kalman.command(command)
         return command
 

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from rigctl.design.closed_loop import STATES, Controller, closed_loop
+from rigctl.design.closed_loop import Controller, closed_loop
 from rigctl.design.plant_family import Array, ComplexArray, Member
 
 
@@ -109,19 +109,20 @@ def _falls(p: Array, a: Array) -> bool:
 def _innovation(law: Controller) -> Array:
     """Row of the controller's state that is the innovation of the tension."""
     row = np.zeros(len(law.a))
-    row[0], row[STATES] = -1.0, 1.0
+    row[0], row[law.states] = -1.0, 1.0
     return row
 
 
 def _injected(quiet: Controller, opened: Controller) -> tuple[Array, float]:
     """What one innovation times the difference of the gains does to the controller's state, and to its command."""
-    return opened.a[:, STATES] - quiet.a[:, STATES], float(opened.c[STATES] - quiet.c[STATES])
+    at = quiet.states
+    return opened.a[:, at] - quiet.a[:, at], float(opened.c[at] - quiet.c[at])
 
 
 def _joined(plant: Member, quiet: Controller, opened: Controller) -> tuple[Array, Array]:
     """b and c of the loop closed around a plant."""
     before = len(plant.a) + plant.delay_ticks
     row = np.concatenate([np.zeros(before), _innovation(quiet)])
-    at = before + STATES
+    at = before + quiet.states
     column: Array = closed_loop(plant, opened).a[:, at] - closed_loop(plant, quiet).a[:, at]
     return column, row

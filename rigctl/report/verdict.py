@@ -12,6 +12,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.metrics.error_statistics import ErrorStatistics, error_n, longest_beyond_s
 from rigctl.metrics.innovations import innovation_statistics
 from rigctl.metrics.phases import JudgedPhase
+from rigctl.metrics.rope_swing import rope_swing
 
 REQUIREMENT_PCT = 5.0
 """Unloading accuracy of 95 % or better, section 2.3 of the paper."""
@@ -73,6 +74,9 @@ def judge(
                               "squared innovation over its variance"))  # fmt: skip
         rows.append(Criterion(f"filter, {sensor.sensor}: whiteness", sensor.white_words(), "-", None,
                               "5 % by chance; more: what the filter leaves of a disturbance"))  # fmt: skip
+    if (swing := rope_swing(records, phases, rate_hz)) is not None:
+        rows.append(Criterion("swing of the rope's stretch", swing.in_words(), "-", None,
+                              "for estimator.swing_hz and swing_damping"))  # fmt: skip
     rows.append(Criterion("records missing, without value", str(gone), "0", gone == 0, "within the judged time"))
     return ReportVerdict(PASSED if all(row.met is not False for row in rows) else FAILED, rows)
 

@@ -247,8 +247,7 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
     law.start_ramp(start_n, 0.0)
     kalman.reset(start_n, 0.0)
     kalman.settle()
-    (_, to_tension, _), (_, keep, _), _ = model.f.tolist()
-    (by_tension,), (by_speed,), _ = model.b.tolist()
+    to_tension, keep, by_tension, by_speed = model.f.item(0, 1), model.f.item(1, 1), model.b.item(0), model.b.item(1)
     sent = [0.0] * model.delay_ticks
     tension_n = speed_mm_s = 0.0
     reading_n, read_mm_s = noise_n, 0.0
@@ -257,7 +256,9 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
         kalman.update(start_n + reading_n, read_mm_s)
         kalman.predict()
         added_mm_s = 0.0 if tick else probe_mm_s
-        command_mm_s = law.compensating(Estimate(*kalman.ahead(), stroke_mm), 1.0, added_mm_s)
+        ahead_n, ahead_mm_s, disturbance_mm_s, lead_mm_s = kalman.ahead()
+        estimate = Estimate(ahead_n, ahead_mm_s, disturbance_mm_s, stroke_mm, lead_mm_s)
+        command_mm_s = law.compensating(estimate, 1.0, added_mm_s)
         kalman.command(command_mm_s - added_mm_s)
         found.append((reading_n, read_mm_s, command_mm_s, tension_n))
         sent.append(command_mm_s)

@@ -6,7 +6,8 @@ made by the cylinder: lag of the upper point, level of the rail, motion of the p
     dT/dt = k (v + w + f),   dv/dt = (u(t - Td) - v) / tau,   dw/dt = white noise
 
 with f the part of the disturbance known from inclination (`rigctl.control.law.inclination.Stretch`) and run-out table;
-the law takes w + f.
+the law takes w + f. With `estimator.swing_hz` two states more follow (`rigctl.control.law.swing`): the first of them is
+a part of the disturbance beside w and f.
 
 With ``quiet_`` walks there are two settled gains, and `rigctl.control.law.opening` says how far to go from the quiet to
 the open one. They differ in the column of the tension alone: one scalar that varies in time between fixed bounds, of
@@ -29,6 +30,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.law.gate import Gate
 from rigctl.control.law.kalman import KalmanFilter, settled_covariance
 from rigctl.control.law.opening import Opening, rest_variances
+from rigctl.control.law.swing import DisturbanceSwing, NoSwing, Swing, SwingPeriod
 
 Array = npt.NDArray[np.float64]
 
@@ -41,7 +43,7 @@ MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a f
 
 @dataclass(frozen=True)
 class FilterModel:
-    """Discrete model at the loop period; shapes (3, 3), (3, 1), (3, 3), and two variances."""
+    """Discrete model at the loop period; shapes (n, n), (n, 1), (n, n), and variances; n is 3, or 5 with a swing."""
 
     f: Array
     b: Array
@@ -57,6 +59,17 @@ class FilterModel:
     open_window_s: float = 0.1
     open_sigma: float = 4.0
     quiet_after_s: float = 0.5
+    swing: SwingPeriod | None = None
+
+    @property
+    def disturbance(self) -> Array:
+        """Row that gives the disturbance's speed of the states, (n,)."""
+        return np.array([0.0, 0.0, 1.0, 1.0, 0.0][: len(self.f)])
+
+    @property
+    def lead(self) -> Array:
+        """Row that gives what a command adds so that the drive's lag does not delay a swing, (n,)."""
+        return np.array([0.0, 0.0, 0.0, *(self.swing.lead if self.swing is not None else ())])
 
 
 def filter_model(settings: RigSettings) -> FilterModel:
@@ -65,8 +78,13 @@ def filter_model(settings: RigSettings) -> FilterModel:
     dt = 1.0 / settings.loop.rate_hz
     k, tau = plant.stiffness_n_mm, plant.cylinder_lag_s
     a = math.exp(-dt / tau)
-    f = np.array([[1.0, k * tau * (1.0 - a), k * dt], [0.0, a, 0.0], [0.0, 0.0, 1.0]])
-    b = np.array([[k * (dt - tau * (1.0 - a))], [1.0 - a], [0.0]])
+    swing = SwingPeriod.of(settings)
+    states = 3 if swing is None else 5
+    f, b = np.eye(states), np.zeros((states, 1))
+    f[0, 1:3], f[1, 1] = (k * tau * (1.0 - a), k * dt), a
+    b[:2, 0] = k * (dt - tau * (1.0 - a)), 1.0 - a
+    if swing is not None:
+        f[0, 3:], f[3:, 3:] = swing.to_tension, swing.f
     quiet_q = _process_noise(
         settings,
         noise.quiet_tension_walk_n or noise.tension_walk_n,
@@ -87,19 +105,25 @@ def filter_model(settings: RigSettings) -> FilterModel:
         noise.open_window_ms * 1e-3,
         noise.open_sigma,
         noise.quiet_after_ms * 1e-3,
+        swing,
     )
 
 
 def _process_noise(settings: RigSettings, tension_walk: float, disturbance_walk: float) -> Array:
-    """Covariance of one period's process noise, (3, 3)."""
-    dt, k, qw = 1.0 / settings.loop.rate_hz, settings.plant.stiffness_n_mm, disturbance_walk**2
-    q = np.diag([tension_walk**2 * dt, settings.estimator.speed_walk_mm_s**2 * dt, qw * dt])
-    q[0, 0] += k**2 * qw * dt**3 / 3.0
-    q[0, 2] = q[2, 0] = k * qw * dt**2 / 2.0
+    """Covariance of one period's process noise, (n, n). A swing is a walk within a period."""
+    dt, k, estimator = 1.0 / settings.loop.rate_hz, settings.plant.stiffness_n_mm, settings.estimator
+    swings = estimator.swing_hz is not None
+    walks = [disturbance_walk**2, *([estimator.swing_walk_mm_s**2] * 2 if swings else [])]
+    q = np.diag([tension_walk**2 * dt, estimator.speed_walk_mm_s**2 * dt, *(qw * dt for qw in walks)])
+    for at, qw in enumerate(walks[:2], 2):  # the second state of a swing does not move the tension
+        q[0, 0] += k**2 * qw * dt**3 / 3.0
+        q[0, at] = q[at, 0] = k * qw * dt**2 / 2.0
     return q
 
 
 Row = tuple[float, float, float]
+Rest = tuple[float, ...]
+"""Of the states beyond the third."""
 
 
 @dataclass(frozen=True)
@@ -108,10 +132,21 @@ class _SettledGain:
 
     tension: Row
     speed: Row
+    rest: tuple[Rest, Rest]  # of tension and of speed, for the states of a swing
     prior: Array
     variances: tuple[float, float]
     to_quiet: Row = (0.0, 0.0, 0.0)  # of the tension: quiet less open
+    rest_to_quiet: Rest = ()
     quiet_variance_n2: float = 0.0  # of the tension's innovation at rest, in the quiet setting
+
+    @classmethod
+    def of(cls, gain: Array, prior: Array, s: Array, quiet: Array | None = None, variance: float = 0.0) -> _SettledGain:
+        """Of gains (n, 2), open and quiet, covariance before an update (n, n) and of the innovations (2, 2)."""
+        change = quiet[:, 0] - gain[:, 0] if quiet is not None else np.zeros(len(gain))
+        return cls(
+            _row(gain[:3, 0]), _row(gain[:3, 1]), (tuple(gain[3:, 0].tolist()), tuple(gain[3:, 1].tolist())), prior,
+            (s.item(0, 0), s.item(1, 1)), _row(change[:3]), tuple(change[3:].tolist()), variance,
+        )  # fmt: skip
 
 
 def _rows(f: Array, b: Array) -> tuple[float, ...]:
@@ -144,17 +179,21 @@ class TensionFilter:
     def __init__(self, model: FilterModel) -> None:
         self.model = model
         noise = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
-        self._kf = kf = KalmanFilter(np.eye(2, 3), noise, _inverse)
+        self._kf = kf = KalmanFilter(np.eye(2, len(model.f)), noise, _inverse)
         kf.f, kf.b, kf.q = model.f, model.b, model.q
         self._rows = _rows(model.f, model.b[:, 0])
         self._settled: _SettledGain | None = None
         self.opening: Opening | None = None
-        self._target = self._settled_gain() if model.quiet_q is not None else None
-        self._x: Row = (0.0, 0.0, 0.0)  # the state, once settled
-        self._prior: Array = np.eye(3)
+        # A swing's covariance takes seconds to settle: its gain is computed, as that of two settings is.
+        self._target = self._settled_gain() if model.quiet_q is not None or model.swing is not None else None
+        self._x: Row = (0.0, 0.0, 0.0)  # the first three states, once settled
+        self._prior: Array = np.eye(len(model.f))
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
         self._carry, self._forced = _rows(carry, np.zeros(3)), forced.T[:, :2].tolist()
+        self._swing: DisturbanceSwing = NoSwing()
+        if model.swing is not None:
+            self._swing = Swing(model.swing, (carry.item(0, 3), carry.item(0, 4)), model.delay_ticks)
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0
@@ -164,13 +203,13 @@ class TensionFilter:
 
     @staticmethod
     def _lookahead(model: FilterModel) -> tuple[Array, Array]:
-        """``x(n + d) = carry x(n) + forced [u(n - d) .. u(n - 1)]``; shapes (3, 3) and (3, d)."""
-        carry = np.eye(3)
+        """``x(n + d) = carry x(n) + forced [u(n - d) .. u(n - 1)]``; shapes (n, n) and (n, d)."""
+        carry = np.eye(len(model.f))
         columns: list[Array] = []
         for _ in range(model.delay_ticks):
             columns.insert(0, carry @ model.b)
             carry = model.f @ carry
-        return carry, np.hstack(columns) if columns else np.zeros((3, 0))
+        return carry, np.hstack(columns) if columns else np.zeros((len(carry), 0))
 
     def _settled_gain(self) -> _SettledGain:
         """The settled gain from its equation, with the quiet setting's if there is one."""
@@ -182,9 +221,8 @@ class TensionFilter:
             return prior, s, np.asarray(np.linalg.solve(s, h @ prior)).T
 
         prior, s, gain = settled(model.q)
-        tension, speed, variances = _row(gain[:, 0]), _row(gain[:, 1]), (s.item(0, 0), s.item(1, 1))
         if model.quiet_q is None:
-            return _SettledGain(tension, speed, prior, variances)
+            return _SettledGain.of(gain, prior, s)
         _, _, quiet = settled(model.quiet_q)
         both = np.column_stack([quiet[:, 0], gain[:, 1]])
         window = model.open_window_s / model.period_s
@@ -192,17 +230,19 @@ class TensionFilter:
         _, open_mean_n2 = rest_variances(model.f, gain, r, window)
         mean_n2 = max(quiet_mean_n2, open_mean_n2)  # else noise alone would keep an open filter open
         self.opening = Opening(window, model.open_sigma, model.quiet_after_s / model.period_s, mean_n2)
-        return _SettledGain(tension, speed, prior, variances, _row(quiet[:, 0] - gain[:, 0]), variance_n2)
+        return _SettledGain.of(gain, prior, s, quiet, variance_n2)
 
     def reset(self, tension_n: float, speed_mm_s: float, known_mm_s: float = 0.0) -> None:
         """Start again from a measurement, with the disturbance at zero, as a slack rope does not show it."""
         self.known_mm_s = known_mm_s
         kf = self._kf
-        kf.x = np.zeros((3, 1))
+        states = len(self.model.f)
+        kf.x = np.zeros((states, 1))
         kf.x[0, 0], kf.x[1, 0] = tension_n, speed_mm_s
-        kf.p = np.eye(3)
+        self._swing.take(kf.x[3:, 0])
+        kf.p = np.eye(states)
         kf.p[0, 0], kf.p[1, 1] = self.model.cell_variance_n2, self.model.speed_variance_mm2_s2
-        kf.k = np.zeros((3, 1))  # so that the first gain after a reset never counts as settled
+        kf.k = np.zeros((states, 1))  # so that the first gain after a reset never counts as settled
         self._unused_gain()
         self.cell.idle()
         self.drive.idle()
@@ -210,7 +250,7 @@ class TensionFilter:
     def settle(self) -> None:
         """Take the settled gain at once, quiet if there is such a setting: as after a long time at rest."""
         target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = self.state, target, target.prior
+        self._x, self._settled, self._prior = self._first, target, target.prior
         if self.opening is not None:
             self.opening.close()
 
@@ -221,8 +261,9 @@ class TensionFilter:
         """
         self._unused_gain()
         self._target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = other.state, self._target, self._target.prior
-        self._kf.x = np.array(self._x).reshape(3, 1)
+        self._x, self._settled, self._prior = other._first, self._target, self._target.prior
+        self._kf.x = np.array([*self._x, *other._swing.states]).reshape(-1, 1)
+        self._swing.take(self._kf.x[3:, 0])
         self._kf.p = np.array(self._target.prior)
         self._sent[:] = other._sent
         self.known_mm_s, self.refused = other.known_mm_s, other.refused
@@ -248,12 +289,12 @@ class TensionFilter:
         self.known_mm_s = known_mm_s
         if not math.isfinite((tension_n or 0.0) + (speed_mm_s or 0.0)):
             tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
-        t, v, w = self.state
+        t, v, w = self._first
         if late_s:  # what they moved on since the time of the state
             _, to_tension, _, kept, driven = self._rows
             periods = late_s / self.model.period_s
             if tension_n is not None:
-                tension_n -= to_tension * (v + w + self.known_mm_s) * periods
+                tension_n -= to_tension * (v + (w + self._swing.speed_mm_s) + self.known_mm_s) * periods
             if speed_mm_s is not None:
                 speed_mm_s -= (driven * self._sent[0] - (1.0 - kept) * v) * periods
         y0 = tension_n - t if tension_n is not None else None
@@ -272,13 +313,15 @@ class TensionFilter:
             assert y0 is not None
             assert y1 is not None
             (kt, kv, kw), (lt, lv, lw) = self._settled.tension, self._settled.speed
-            opening = self.opening
+            (rest, by_speed), opening = self._settled.rest, self.opening
             if opening is not None:
                 opening.look(y0)
                 quiet = 1.0 - opening.level
                 dt, dv, dw = self._settled.to_quiet
                 kt, kv, kw = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw
+                rest = tuple(k + quiet * d for k, d in zip(rest, self._settled.rest_to_quiet, strict=True))
             self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1
+            self._swing.correct(rest, by_speed, y0, y1)
         else:
             self._update_both(tension_n, speed_mm_s)
 
@@ -305,7 +348,7 @@ class TensionFilter:
             self._unsettle()
             kf.p = self._prior
         speed = model.burst_mm_s
-        burst = np.zeros((3, 1))
+        burst = np.zeros((len(model.f), 1))
         burst[0, 0], burst[2, 0] = model.f[0, 2] * speed * ticks, speed
         kf.p = kf.p + burst @ burst.T
 
@@ -313,16 +356,14 @@ class TensionFilter:
         kf = self._kf
         before = kf.k
         kf.update(np.array([[tension_n], [speed_mm_s]]))
+        self._swing.take(kf.x[3:, 0])
         if self._target is not None:
             gain = np.array([self._target.tension, self._target.speed]).T
-            if (np.abs(kf.k - gain) < NEAR_GAIN * np.abs(gain).max(axis=1, keepdims=True)).all():
-                self._x, self._settled = self.state, self._target
+            if (np.abs(kf.k[:3] - gain) < NEAR_GAIN * np.abs(gain).max(axis=1, keepdims=True)).all():
+                self._x, self._settled = self._first, self._target
                 return
         elif before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
-            self._x = self.state
-            self._settled = _SettledGain(
-                _row(kf.k[:, 0]), _row(kf.k[:, 1]), kf.p_prior, (kf.s.item(0, 0), kf.s.item(1, 1))
-            )
+            self._x, self._settled = self._first, _SettledGain.of(kf.k, kf.p_prior, kf.s)
             return
         kf.p = 0.5 * (kf.p + kf.p.T)
 
@@ -335,13 +376,14 @@ class TensionFilter:
             kf.update(np.array([[tension_n]]), _TENSION)
         elif speed_mm_s is not None:
             kf.update(np.array([[speed_mm_s]]), _SPEED)
+        self._swing.take(kf.x[3:, 0])
         kf.p = 0.5 * (kf.p + kf.p.T)
 
     def _unsettle(self) -> None:
         """Hand the state back to `KalmanFilter`, whose covariance is that after an update, in the open setting."""
         if self._settled is not None:
             self._prior = self._settled.prior
-            self._kf.x = np.array(self._x).reshape(3, 1)
+            self._kf.x = np.array([*self._x, *self._swing.states]).reshape(-1, 1)
             self._unused_gain()
 
     def predict(self, periods: int = 1) -> None:
@@ -354,7 +396,7 @@ class TensionFilter:
             u = sent[0]
             tv, tw, tu, vv, vu = self._rows
             known = tw * self.known_mm_s
-            self._x = t + tv * v + tw * w + tu * u + known, vv * v + vu * u, w
+            self._x = t + tv * v + tw * w + tu * u + known + self._swing.carry(), vv * v + vu * u, w
             sent.append(sent[-1])
             del sent[0]
             return
@@ -364,25 +406,33 @@ class TensionFilter:
             self._kf.x[0, 0] += self.model.f[0, 2] * self.known_mm_s
             sent.append(sent[-1])
             del sent[0]
+        self._swing.take(self._kf.x[3:, 0])
 
-    def ahead(self) -> tuple[float, float, float]:
-        """Tension, drive speed and whole disturbance speed, w + f, when a command sent now will act."""
-        (t, v, w), known = self.state, self.known_mm_s
+    def ahead(self) -> tuple[float, float, float, float]:
+        """Tension, drive speed and whole disturbance speed when a command sent now will act; the lead of a swing."""
+        (t, v, w), known = self._first, self.known_mm_s
         tv, tw, _, vv, _ = self._carry
-        tension_n, speed_mm_s, disturbance_mm_s = t + tv * v + tw * (w + known), vv * v, w + known
+        added_n, swing_mm_s, lead_mm_s = self._swing.ahead()
+        tension_n, speed_mm_s, disturbance_mm_s = t + tv * v + tw * (w + known) + added_n, vv * v, w + known
         for (to_tension, to_speed), command in zip(self._forced, self._sent, strict=False):
             tension_n += to_tension * command
             speed_mm_s += to_speed * command
-        return tension_n, speed_mm_s, disturbance_mm_s
+        return tension_n, speed_mm_s, disturbance_mm_s + swing_mm_s, lead_mm_s
 
     def command(self, speed_mm_s: float) -> None:
         """Store the limited command sent in this tick, which the drive will follow."""
         self._sent[-1] = speed_mm_s
 
     @property
+    def _first(self) -> Row:
+        """Tension, drive speed and walk at this tick."""
+        return self._x if self._settled is not None else _row(self._kf.x[:3, 0])
+
+    @property
     def state(self) -> Row:
-        """Tension, drive speed and disturbance speed at this tick."""
-        return self._x if self._settled is not None else _row(self._kf.x[:, 0])
+        """Tension, drive speed and disturbance speed at this tick, without the known part."""
+        t, v, w = self._first
+        return t, v, w + self._swing.speed_mm_s
 
     @property
     def level(self) -> float:
@@ -391,5 +441,5 @@ class TensionFilter:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the state, (3, 3), in the open setting."""
+        """Covariance of the state, (n, n), in the open setting."""
         return np.array(self._kf.p)

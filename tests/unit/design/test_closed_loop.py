@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,11 @@ TARGET_N = 300.0
 SMALL = (0.01, 0.01, 0.05)  # N, mm/s, mm/s: small enough that no limit acts
 
 
+def _estimate(kalman: TensionFilter) -> Estimate:
+    tension_n, speed_mm_s, disturbance_mm_s, lead_mm_s = kalman.ahead()
+    return Estimate(tension_n, speed_mm_s, disturbance_mm_s, 50.0, lead_mm_s)
+
+
 def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, ticks: int) -> Array:
     """Tension deviation N and command mm/s, shape (ticks, 2), in the loop's order of work."""
     running = TensionFilter(filter_model(settings))
@@ -30,7 +36,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
     for _ in range(max(3000, 2 * settings.loop.rate_hz)):  # at rest on the target: the filter's gain settles
         running.update(TARGET_N, 0.0)
         running.predict()
-        running.command(law.compensating(Estimate(*running.ahead(), 50.0), cosine=1.0))
+        running.command(law.compensating(_estimate(running), cosine=1.0))
     kick = np.zeros(3)
     kick[channel] = SMALL[channel]
     state, sample = np.zeros(len(plant.a)), np.array([TARGET_N, 0.0])
@@ -40,7 +46,7 @@ def _impulse_of_the_objects(settings: RigSettings, plant: Member, channel: int, 
         noise = kick if tick == 0 else np.zeros(3)
         running.update(float(sample[0]), float(sample[1]))
         running.predict()
-        command = law.compensating(Estimate(*running.ahead(), 50.0), cosine=1.0)
+        command = law.compensating(_estimate(running), cosine=1.0)
         running.command(command)
         assert law.limits == 0
         rows.append((state[0], command))
@@ -86,14 +92,17 @@ def test_margins_describe_the_code_that_runs(
     assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
 
 
+SWING = {"inclination_swing_hz": None, "swing_hz": 0.57, "swing_damping": 0.1, "swing_walk_mm_s": 0.5}
+
+
 @pytest.mark.parametrize("level", [0.0, 0.5, 1.0])
-@pytest.mark.parametrize(("rate_hz", "k_m"), [(1000, 60.0), (200, None)])
+@pytest.mark.parametrize(("rate_hz", "k_m", "swing"), [(1000, 60.0, {}), (200, None, {}), (1000, 60.0, SWING)])
 def test_margins_of_each_setting_describe_the_code_that_runs(
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, rate_hz: int, k_m: float | None, level: float
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, rate_hz: int, k_m: float | None, level: float, swing: dict[str, Any]
 ) -> None:
     monkeypatch.setattr(Opening, "look", lambda self, _: setattr(self, "level", level))
     monkeypatch.setattr(estimator, "NEAR_GAIN", 1e-3)
-    settings = rig(loop={"rate_hz": rate_hz}, estimator={"quiet_disturbance_walk_mm_s": 3.0})
+    settings = rig(loop={"rate_hz": rate_hz}, estimator={"quiet_disturbance_walk_mm_s": 3.0, **swing})
     model, plant = filter_model(settings), member(settings, k_m)
     gains = filter_gains(model)
     loop = closed_loop(plant, controller(model, design(settings), level * gains[OPEN] + (1.0 - level) * gains[QUIET]))
@@ -104,9 +113,10 @@ def test_margins_of_each_setting_describe_the_code_that_runs(
         assert np.allclose(real, expected, rtol=0.0, atol=1e-5 * np.abs(expected).max(axis=0))
 
 
+@pytest.mark.parametrize("swing", [{}, SWING])
 @pytest.mark.parametrize("delay_s", [0.0, 0.002, 0.02])
-def test_response_equals_the_state_space(rig: Rig, delay_s: float) -> None:
-    settings = rig(plant={"command_delay_s": delay_s})
+def test_response_equals_the_state_space(rig: Rig, delay_s: float, swing: dict[str, Any]) -> None:
+    settings = rig(plant={"command_delay_s": delay_s}, estimator=swing)
     model = filter_model(settings)
     law = controller(model, design(settings), filter_gain(model))
     z = np.exp(2j * np.pi * np.array([0.1, 3.0, 40.0, 500.0]) * model.period_s)
