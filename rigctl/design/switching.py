@@ -8,9 +8,10 @@ difference of the two gains does with it, and 0 <= l(n) <= 1 in any order of tim
 
 which is the circle criterion for the sector [0, 1] (Hitz, Anderson, Proc. IEE 116 (1969), 153-155; for one quadratic
 constraint the S-procedure loses nothing: Yakubovich, Vestnik Leningrad Univ. 1971). g = 1 where the settings are equal.
-l may jump in every tick: no bound on its rate is assumed. That is all it says: nothing of a sample that is missing or
-rejected, where the speed's column of the gain changes too, and nothing of Ms, which is of levels that are settled
-(`largest_between`).
+l may jump in every tick: no bound on its rate is assumed. It holds for every sample that corrects. A
+missing or rejected one corrects nothing in its tick, and the next is inside the sector again; a surprising one has a
+gain of its own for its tick (`rigctl.control.law.estimator`). It says nothing of Ms, which is of levels that are
+settled (`largest_between`).
 """
 
 from __future__ import annotations

@@ -9,6 +9,11 @@ with f the part of the disturbance known from inclination (`rigctl.control.law.i
 the law takes w + f. With `estimator.swing_hz` two states more follow (`rigctl.control.law.swing`): the first of them is
 a part of the disturbance beside w and f.
 
+The gain is the settled one of these equations in every tick, from the first on, so that it is no matter of what was
+measured before: the design proves the loop with it. A sample that is missing or rejected corrects nothing. Only a
+tension beyond the model, believed as the burst of a jolt, has a gain of its own, that of the covariance widened by the
+burst, for its one tick.
+
 With ``quiet_`` walks there are two settled gains, and `rigctl.control.law.opening` says how far to go from the quiet to
 the open one. They differ in the column of the tension alone: one scalar that varies in time between fixed bounds, of
 which the design proves that no variation makes the loop unstable (`rigctl.design.switching`).
@@ -28,16 +33,12 @@ import numpy.typing as npt
 
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.gate import Gate
-from rigctl.control.law.kalman import KalmanFilter, settled_covariance
+from rigctl.control.law.kalman import settled_covariance
 from rigctl.control.law.opening import Opening, rest_variances
 from rigctl.control.law.swing import DisturbanceSwing, NoSwing, Swing, SwingPeriod
 
 Array = npt.NDArray[np.float64]
 
-SETTLED_GAIN = 1e-11  # change of the gain in one tick below which it counts as settled
-NEAR_GAIN = 0.02
-"""Share of a state's larger gain, within which a filter with two settings takes its settled gain."""
-_TENSION, _SPEED = slice(0, 1), slice(1, 2)  # of a measurement
 MAX_CATCH_UP = 100  # periods predicted after an overrun; longer gaps end in a fault anyway
 
 
@@ -127,26 +128,16 @@ Rest = tuple[float, ...]
 
 
 @dataclass(frozen=True)
-class _SettledGain:
-    """Gains that no longer change, covariance before an update, variances of the innovations."""
+class _Gain:
+    """The settled gain on the innovation of one sensor: of the first three states, and of a swing's."""
 
-    tension: Row
-    speed: Row
-    rest: tuple[Rest, Rest]  # of tension and of speed, for the states of a swing
-    prior: Array
-    variances: tuple[float, float]
-    to_quiet: Row = (0.0, 0.0, 0.0)  # of the tension: quiet less open
-    rest_to_quiet: Rest = ()
-    quiet_variance_n2: float = 0.0  # of the tension's innovation at rest, in the quiet setting
+    first: Row
+    rest: Rest
 
     @classmethod
-    def of(cls, gain: Array, prior: Array, s: Array, quiet: Array | None = None, variance: float = 0.0) -> _SettledGain:
-        """Of gains (n, 2), open and quiet, covariance before an update (n, n) and of the innovations (2, 2)."""
-        change = quiet[:, 0] - gain[:, 0] if quiet is not None else np.zeros(len(gain))
-        return cls(
-            _row(gain[:3, 0]), _row(gain[:3, 1]), (tuple(gain[3:, 0].tolist()), tuple(gain[3:, 1].tolist())), prior,
-            (s.item(0, 0), s.item(1, 1)), _row(change[:3]), tuple(change[3:].tolist()), variance,
-        )  # fmt: skip
+    def of(cls, column: Array) -> _Gain:
+        a, b, c, *rest = column.tolist()
+        return cls((a, b, c), tuple(rest))
 
 
 def _rows(f: Array, b: Array) -> tuple[float, ...]:
@@ -154,40 +145,15 @@ def _rows(f: Array, b: Array) -> tuple[float, ...]:
     return f.item(0, 1), f.item(0, 2), b.item(0), f.item(1, 1), b.item(1)
 
 
-def _row(column: Array) -> Row:
-    a, b, c = column.tolist()
-    return a, b, c
-
-
-def _inverse(s: Array) -> Array:
-    """Inverse of a 1 x 1 or 2 x 2 innovation covariance (numpy's costs three times as much)."""
-    if s.shape == (1, 1):
-        return 1.0 / s
-    (a, b), (c, d) = s.tolist()
-    det = a * d - b * c
-    return np.array([[d / det, -b / det], [-c / det, a / det]])
-
-
 class TensionFilter:
-    """The filter; it skips absent samples and refuses non-finite ones.
-
-    `KalmanFilter` carries state and covariance until the gain has settled (a tenth of a second). From then on, while
-    both samples come, the covariance is constant, and the settled gain carries the state in plain floats: the same
-    numbers in a tenth of the time. An absent sample or an overrun goes back to `KalmanFilter`.
-    """
+    """The filter; it skips absent samples and refuses non-finite ones."""
 
     def __init__(self, model: FilterModel) -> None:
         self.model = model
-        noise = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
-        self._kf = kf = KalmanFilter(np.eye(2, len(model.f)), noise, _inverse)
-        kf.f, kf.b, kf.q = model.f, model.b, model.q
         self._rows = _rows(model.f, model.b[:, 0])
-        self._settled: _SettledGain | None = None
         self.opening: Opening | None = None
-        # A swing's covariance takes seconds to settle: its gain is computed, as that of two settings is.
-        self._target = self._settled_gain() if model.quiet_q is not None or model.swing is not None else None
-        self._x: Row = (0.0, 0.0, 0.0)  # the first three states, once settled
-        self._prior: Array = np.eye(len(model.f))
+        self._settle_gains()
+        self._x: Row = (0.0, 0.0, 0.0)
         self._sent: list[float] = [0.0] * (model.delay_ticks + 1)  # oldest first
         carry, forced = self._lookahead(model)
         self._carry, self._forced = _rows(carry, np.zeros(3)), forced.T[:, :2].tolist()
@@ -211,67 +177,63 @@ class TensionFilter:
             carry = model.f @ carry
         return carry, np.hstack(columns) if columns else np.zeros((len(carry), 0))
 
-    def _settled_gain(self) -> _SettledGain:
-        """The settled gain from its equation, with the quiet setting's if there is one."""
-        model, h, r = self.model, self._kf.h, self._kf.r
+    def _settle_gains(self) -> None:
+        """The settled gains from their equation, with the quiet setting's if there is one."""
+        model = self.model
+        h = np.eye(2, len(model.f))
+        r = np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
 
         def settled(q: Array) -> tuple[Array, Array, Array]:
             prior = settled_covariance(model.f, h, q, r)
             s = h @ prior @ h.T + r
             return prior, s, np.asarray(np.linalg.solve(s, h @ prior)).T
 
-        prior, s, gain = settled(model.q)
+        self._prior, s, gain = settled(model.q)
+        """Covariance before an update in the open setting, (n, n)."""
+        self.gain: Array = gain
+        """In the open setting, states by (tension, speed), (n, 2)."""
+        self._of_tension, self._of_speed = _Gain.of(gain[:, 0]), _Gain.of(gain[:, 1])
+        self._variance_n2, self._variance_mm2_s2 = self._quiet_variance_n2, _ = s.item(0, 0), s.item(1, 1)
+        self._to_quiet = _Gain.of(np.zeros(len(gain)))
         if model.quiet_q is None:
-            return _SettledGain.of(gain, prior, s)
+            return
         _, _, quiet = settled(model.quiet_q)
         both = np.column_stack([quiet[:, 0], gain[:, 1]])
         window = model.open_window_s / model.period_s
-        variance_n2, quiet_mean_n2 = rest_variances(model.f, both, r, window)
+        self._quiet_variance_n2, quiet_mean_n2 = rest_variances(model.f, both, r, window)
         _, open_mean_n2 = rest_variances(model.f, gain, r, window)
         mean_n2 = max(quiet_mean_n2, open_mean_n2)  # else noise alone would keep an open filter open
         self.opening = Opening(window, model.open_sigma, model.quiet_after_s / model.period_s, mean_n2)
-        return _SettledGain.of(gain, prior, s, quiet, variance_n2)
+        self._to_quiet = _Gain.of(quiet[:, 0] - gain[:, 0])
 
     def reset(self, tension_n: float, speed_mm_s: float, known_mm_s: float = 0.0) -> None:
         """Start again from a measurement, with the disturbance at zero, as a slack rope does not show it."""
         self.known_mm_s = known_mm_s
-        kf = self._kf
-        states = len(self.model.f)
-        kf.x = np.zeros((states, 1))
-        kf.x[0, 0], kf.x[1, 0] = tension_n, speed_mm_s
-        self._swing.take(kf.x[3:, 0])
-        kf.p = np.eye(states)
-        kf.p[0, 0], kf.p[1, 1] = self.model.cell_variance_n2, self.model.speed_variance_mm2_s2
-        kf.k = np.zeros((states, 1))  # so that the first gain after a reset never counts as settled
-        self._unused_gain()
+        self._x = (tension_n, speed_mm_s, 0.0)
+        self._swing.take((0.0, 0.0))
+        self._open()
         self.cell.idle()
         self.drive.idle()
 
     def settle(self) -> None:
-        """Take the settled gain at once, quiet if there is such a setting: as after a long time at rest."""
-        target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = self._first, target, target.prior
+        """Be quiet at once, if there is such a setting: as after a long time at rest."""
         if self.opening is not None:
             self.opening.close()
 
     def take_over(self, other: TensionFilter) -> None:
-        """Go on from the state of another filter with this one's settled gain, wholly open.
+        """Go on from the state of another filter with this one's gain, wholly open.
 
         The models may differ in stiffness and noise, not in their delay.
         """
-        self._unused_gain()
-        self._target = self._target or self._settled_gain()
-        self._x, self._settled, self._prior = other._first, self._target, self._target.prior
-        self._kf.x = np.array([*self._x, *other._swing.states]).reshape(-1, 1)
-        self._swing.take(self._kf.x[3:, 0])
-        self._kf.p = np.array(self._target.prior)
+        self._open()
+        self._x = other._x
+        self._swing.take(other._swing.states)
         self._sent[:] = other._sent
         self.known_mm_s, self.refused = other.known_mm_s, other.refused
         self.cell.go_on_from(other.cell)
         self.drive.go_on_from(other.drive)
 
-    def _unused_gain(self) -> None:
-        self._settled = None
+    def _open(self) -> None:
         if self.opening is not None:
             self.opening.open()
 
@@ -289,7 +251,7 @@ class TensionFilter:
         self.known_mm_s = known_mm_s
         if not math.isfinite((tension_n or 0.0) + (speed_mm_s or 0.0)):
             tension_n, speed_mm_s = self._finite(tension_n), self._finite(speed_mm_s)
-        t, v, w = self._first
+        t, v, w = self._x
         if late_s:  # what they moved on since the time of the state
             _, to_tension, _, kept, driven = self._rows
             periods = late_s / self.model.period_s
@@ -299,31 +261,26 @@ class TensionFilter:
                 speed_mm_s -= (driven * self._sent[0] - (1.0 - kept) * v) * periods
         y0 = tension_n - t if tension_n is not None else None
         y1 = speed_mm_s - v if speed_mm_s is not None else None
-        ticks = self.cell.since
-        s00, s11 = self._variances()
+        ticks, s00 = self.cell.since, self._variance()
         if not self.cell.believes(y0, s00):
-            tension_n = None
-        elif self.cell.surprised:
-            self._follow(ticks)
-        if not self.drive.believes(y1, s11):
-            speed_mm_s = None
-        if tension_n is None or speed_mm_s is None:
-            self._update_one(tension_n, speed_mm_s)
-        elif self._settled is not None:
-            assert y0 is not None
-            assert y1 is not None
-            (kt, kv, kw), (lt, lv, lw) = self._settled.tension, self._settled.speed
-            (rest, by_speed), opening = self._settled.rest, self.opening
-            if opening is not None:
-                opening.look(y0)
-                quiet = 1.0 - opening.level
-                dt, dv, dw = self._settled.to_quiet
-                kt, kv, kw = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw
-                rest = tuple(k + quiet * d for k, d in zip(rest, self._settled.rest_to_quiet, strict=True))
-            self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1
-            self._swing.correct(rest, by_speed, y0, y1)
-        else:
-            self._update_both(tension_n, speed_mm_s)
+            y0 = None
+        if not self.drive.believes(y1, self._variance_mm2_s2):
+            y1 = None
+        surprised, opening = self.cell.surprised, self.opening
+        gain = self._of_tension if not surprised else self._of_burst(ticks)
+        (kt, kv, kw), rest = gain.first, gain.rest
+        (lt, lv, lw), by_speed = self._of_speed.first, self._of_speed.rest
+        if y0 is None or y1 is None or surprised:
+            self._open()
+        elif opening is not None:
+            opening.look(y0)
+            quiet = 1.0 - opening.level
+            dt, dv, dw = self._to_quiet.first
+            kt, kv, kw = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw
+            rest = tuple(k + quiet * d for k, d in zip(rest, self._to_quiet.rest, strict=True))
+        y0, y1 = y0 or 0.0, y1 or 0.0
+        self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1
+        self._swing.correct(rest, by_speed, y0, y1)
 
     def _finite(self, value: float | None) -> float | None:
         if value is None or math.isfinite(value):
@@ -331,86 +288,40 @@ class TensionFilter:
         self.refused += 1
         return None
 
-    def _variances(self) -> tuple[float, float]:
-        """Variances of the innovations of tension and speed."""
-        if self._settled is not None:
-            s00, s11 = self._settled.variances
-            if self.opening is not None:
-                s00 += (1.0 - self.opening.level) * (self._settled.quiet_variance_n2 - s00)
-            return s00, s11
-        p, r = self._kf.p, self._kf.r
-        return p.item(0, 0) + r.item(0, 0), p.item(1, 1) + r.item(1, 1)
+    def _variance(self) -> float:
+        """Variance of the tension's innovation."""
+        if self.opening is None:
+            return self._variance_n2
+        return self._variance_n2 + (1.0 - self.opening.level) * (self._quiet_variance_n2 - self._variance_n2)
 
-    def _follow(self, ticks: int) -> None:
-        """Widen the covariance by a burst of disturbance, so that the filter follows a surprising tension."""
-        kf, model = self._kf, self.model
-        if self._settled is not None:
-            self._unsettle()
-            kf.p = self._prior
-        speed = model.burst_mm_s
-        burst = np.zeros((len(model.f), 1))
-        burst[0, 0], burst[2, 0] = model.f[0, 2] * speed * ticks, speed
-        kf.p = kf.p + burst @ burst.T
-
-    def _update_both(self, tension_n: float, speed_mm_s: float) -> None:
-        kf = self._kf
-        before = kf.k
-        kf.update(np.array([[tension_n], [speed_mm_s]]))
-        self._swing.take(kf.x[3:, 0])
-        if self._target is not None:
-            gain = np.array([self._target.tension, self._target.speed]).T
-            if (np.abs(kf.k[:3] - gain) < NEAR_GAIN * np.abs(gain).max(axis=1, keepdims=True)).all():
-                self._x, self._settled = self._first, self._target
-                return
-        elif before.shape == kf.k.shape and np.abs(kf.k - before).max() < SETTLED_GAIN:
-            self._x, self._settled = self._first, _SettledGain.of(kf.k, kf.p_prior, kf.s)
-            return
-        kf.p = 0.5 * (kf.p + kf.p.T)
-
-    def _update_one(self, tension_n: float | None, speed_mm_s: float | None) -> None:
-        kf = self._kf
-        if self._settled is not None:
-            self._unsettle()
-            kf.p = self._prior
-        if tension_n is not None:
-            kf.update(np.array([[tension_n]]), _TENSION)
-        elif speed_mm_s is not None:
-            kf.update(np.array([[speed_mm_s]]), _SPEED)
-        self._swing.take(kf.x[3:, 0])
-        kf.p = 0.5 * (kf.p + kf.p.T)
-
-    def _unsettle(self) -> None:
-        """Hand the state back to `KalmanFilter`, whose covariance is that after an update, in the open setting."""
-        if self._settled is not None:
-            self._prior = self._settled.prior
-            self._kf.x = np.array([*self._x, *self._swing.states]).reshape(-1, 1)
-            self._unused_gain()
+    def _of_burst(self, ticks: int) -> _Gain:
+        """The gain that follows a surprising tension: of the covariance widened by a burst of disturbance."""
+        model, speed = self.model, self.model.burst_mm_s
+        burst = np.zeros(len(model.f))
+        burst[0], burst[2] = model.f[0, 2] * speed * ticks, speed
+        prior = self._prior + np.outer(burst, burst)
+        s = prior[:2, :2] + np.diag([model.cell_variance_n2, model.speed_variance_mm2_s2])
+        return _Gain.of(np.linalg.solve(s, prior[:2])[0])
 
     def predict(self, periods: int = 1) -> None:
         """Carry the state to this tick; ``periods`` > 1 after an overrun, under the last command."""
         sent = self._sent
         self.cell.pass_ticks(periods)
         self.drive.pass_ticks(periods)
-        if periods == 1 and self._settled is not None:
+        if periods > 1:
+            self._open()
+        tv, tw, tu, vv, vu = self._rows
+        known = tw * self.known_mm_s
+        for _ in range(min(periods, MAX_CATCH_UP)):
             t, v, w = self._x
             u = sent[0]
-            tv, tw, tu, vv, vu = self._rows
-            known = tw * self.known_mm_s
             self._x = t + tv * v + tw * w + tu * u + known + self._swing.carry(), vv * v + vu * u, w
             sent.append(sent[-1])
             del sent[0]
-            return
-        self._unsettle()
-        for _ in range(min(periods, MAX_CATCH_UP)):
-            self._kf.predict(u=sent[0])
-            self._kf.x[0, 0] += self.model.f[0, 2] * self.known_mm_s
-            sent.append(sent[-1])
-            del sent[0]
-        self._swing.take(self._kf.x[3:, 0])
 
     def ahead(self) -> tuple[float, float, float, float]:
         """Tension, drive speed and whole disturbance speed when a command sent now will act; the lead of a swing."""
-        (t, v, w), known = self._first, self.known_mm_s
+        (t, v, w), known = self._x, self.known_mm_s
         tv, tw, _, vv, _ = self._carry
         added_n, swing_mm_s, lead_mm_s = self._swing.ahead()
         tension_n, speed_mm_s, disturbance_mm_s = t + tv * v + tw * (w + known) + added_n, vv * v, w + known
@@ -424,14 +335,9 @@ class TensionFilter:
         self._sent[-1] = speed_mm_s
 
     @property
-    def _first(self) -> Row:
-        """Tension, drive speed and walk at this tick."""
-        return self._x if self._settled is not None else _row(self._kf.x[:3, 0])
-
-    @property
     def state(self) -> Row:
         """Tension, drive speed and disturbance speed at this tick, without the known part."""
-        t, v, w = self._first
+        t, v, w = self._x
         return t, v, w + self._swing.speed_mm_s
 
     @property
@@ -441,5 +347,6 @@ class TensionFilter:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the state, (n, n), in the open setting."""
-        return np.array(self._kf.p)
+        """Covariance of the state after an update, (n, n), in the open setting."""
+        left = np.eye(len(self.gain)) - self.gain @ np.eye(2, len(self.gain))
+        return np.asarray(left @ self._prior)

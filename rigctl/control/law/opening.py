@@ -8,8 +8,8 @@ disturbance that the filter does not follow shows as a mean. The filter is open 
 
 the chart of the exponentially weighted mean (Roberts, Technometrics 1 (1959), 239-250) with the variance of correlated
 samples. It opens in one tick and becomes quiet again over a time constant, so that a swing keeps it open. The level may
-change in any way while no sample is missing: the design refuses a loop without a Lyapunov function that is common to
-all levels (`rigctl.design.switching`).
+change in any way: the design refuses a loop without a Lyapunov function that is common to all levels
+(`rigctl.design.switching`).
 """
 
 from __future__ import annotations

@@ -62,8 +62,8 @@ class SwingPeriod(NamedTuple):
 class DisturbanceSwing(Protocol):
     """The states of a filter beyond tension, drive speed and walk, and what they add to those."""
 
-    def take(self, states: Array) -> None:
-        """Read the filter's states beyond the third, shape (n - 3,)."""
+    def take(self, states: tuple[float, ...]) -> None:
+        """Go on from the states of another swing."""
 
     def correct(self, by_tension: tuple[float, ...], by_speed: tuple[float, ...], y0: float, y1: float) -> None:
         """Correct by the innovations of tension and drive speed with these gains."""
@@ -90,7 +90,7 @@ class NoSwing:
     states: tuple[float, ...] = ()
     speed_mm_s = 0.0
 
-    def take(self, states: Array) -> None:
+    def take(self, states: tuple[float, ...]) -> None:
         """There are none."""
 
     def correct(self, by_tension: tuple[float, ...], by_speed: tuple[float, ...], y0: float, y1: float) -> None:
@@ -132,9 +132,9 @@ class Swing:
         """See `DisturbanceSwing`."""
         return self._a
 
-    def take(self, states: Array) -> None:
+    def take(self, states: tuple[float, ...]) -> None:
         """See `DisturbanceSwing`."""
-        self._a, self._b = states.tolist()
+        self._a, self._b = states
 
     def correct(self, by_tension: tuple[float, ...], by_speed: tuple[float, ...], y0: float, y1: float) -> None:
         """See `DisturbanceSwing`."""

@@ -38,7 +38,7 @@ class Run:
             kalman.update(float(y), float(v))
             if n >= SETTLE:
                 innovation = np.array([y, v]) - before[:2]
-                prior = kalman._settled.prior if kalman._settled else kalman._kf.p_prior
+                prior = kalman._prior
                 s = h @ prior @ h.T + np.diag([assumed.cell_variance_n2, assumed.speed_variance_mm2_s2])
                 error = x - np.array(kalman.state)
                 nis.append(innovation @ np.linalg.solve(s, innovation))

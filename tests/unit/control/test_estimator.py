@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+import control
+import filterpy.kalman
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -12,7 +13,9 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from rigctl.config import rig_file as config
+from rigctl.config.changed_settings import changed
 from rigctl.control.law.estimator import FilterModel, TensionFilter, filter_model
+from rigctl.design.gains import OPEN, QUIET, filter_gains
 from tests.builders.paths import ROOT
 
 SETTINGS = config.load(ROOT / "config/paper_rig.yaml")
@@ -76,46 +79,58 @@ def test_an_absent_sample_is_predicted_through() -> None:
     assert kalman.state[2] == pytest.approx(1.0, abs=1e-3)
 
 
-def test_the_settled_form_gives_what_the_full_recursion_gives(monkeypatch: pytest.MonkeyPatch) -> None:
-    noise = np.random.default_rng(3)
-    samples = [(300.0 + 0.03 * a, 0.5 + 0.02 * b) for a, b in noise.standard_normal((4000, 2))]
-
-    def run() -> tuple[list[float], int]:
-        kalman, calls = TensionFilter(MODEL), 0
-        kalman.reset(300.0, 0.5)
-        plain = kalman._kf.update
-
-        def counted(*args: Any) -> None:
-            nonlocal calls
-            calls += 1
-            plain(*args)
-
-        kalman._kf.update = counted  # type: ignore[method-assign, assignment]
-        states: list[float] = []
-        for n, (tension, speed) in enumerate(samples):
-            kalman.update(None if n % 1500 == 1400 else tension, None if n % 1900 == 1800 else speed)
-            kalman.predict(3 if n == 2000 else 1)
-            kalman.command(-0.5)
-            states += kalman.ahead()
-        return states, calls
-
-    fast, fast_calls = run()
-    monkeypatch.setattr("rigctl.control.law.estimator.SETTLED_GAIN", -1.0)
-    full, full_calls = run()
-    assert full_calls == 4000
-    assert fast_calls < 3000
-    np.testing.assert_allclose(fast, full, atol=1e-4)
+HISTORY = 8
 
 
-def test_the_first_gain_after_a_reset_is_never_taken_for_a_settled_one() -> None:
+def test_no_history_of_eight_samples_takes_the_gain_out_of_its_sector() -> None:
+    """A good sample corrects by a gain between the quiet and the open one, whatever was before; a bad one by none."""
+    model = filter_model(changed(SETTINGS, {"estimator.quiet_disturbance_walk_mm_s": 1.0}))
+    gains, kalman = filter_gains(model), TensionFilter(model)
+    low, high = np.sort([gains[QUIET][:, 0], gains[OPEN][:, 0]], axis=0)
+    burst_n = model.gate_sigma * model.f[0, 2] * model.burst_mm_s
+    innovations = {"good": 1e-3, "missing": None, "rejected": 100.0 * burst_n, "surprising": 0.9 * burst_n}
+    opening, cell = kalman.opening, kalman.cell
+    assert opening is not None
+
+    def goes_on(left: int) -> None:
+        """Every history of so many samples from here; the gate's and the opening's memory is restored after each."""
+        memory = opening.level, opening._mean, cell.since
+        for kind, by_n in innovations.items():
+            before = kalman.state
+            kalman.update(None if by_n is None else before[0] + by_n, before[1])
+            moved = [now - then for now, then in zip(kalman.state, before, strict=True)]
+            if kind == "good":
+                assert all(a <= 1e3 * each <= b for a, each, b in zip(low - 1e-6, moved, high + 1e-6, strict=True))
+            elif kind == "surprising":
+                assert by_n is not None
+                assert 0.5 * by_n < moved[0] <= by_n
+            else:
+                assert moved == [0.0, 0.0, 0.0]
+                assert kalman.level == 1.0
+            if left > 1:
+                cell.pass_ticks(1)
+                goes_on(left - 1)
+            opening.level, opening._mean, cell.since = memory
+
+    kalman.reset(300.0, 0.0)
+    cell.pass_ticks(1)
+    kalman.settle()
+    goes_on(HISTORY)
+
+
+def test_a_surprising_sample_has_the_gain_of_the_widened_covariance() -> None:
     kalman = TensionFilter(MODEL)
-    for tension in (4.9, 5.1, 4.9, 5.1):
-        if tension < 5.0:
-            kalman.reset(tension, 8.0)
-        else:
-            kalman.update(tension, 8.0)
-        kalman.predict()
-    assert kalman._settled is None
+    kalman.reset(300.0, 0.0)
+    kalman.cell.since = 1
+    burst = np.array([MODEL.f[0, 2], 0.0, 1.0]) * MODEL.burst_mm_s
+    filtered = filterpy.kalman.KalmanFilter(dim_x=3, dim_z=2)
+    filtered.H, filtered.R = np.eye(2, 3), np.diag([MODEL.cell_variance_n2, MODEL.speed_variance_mm2_s2])
+    filtered.P = control.dare(MODEL.f.T, filtered.H.T, MODEL.q, filtered.R)[0] + np.outer(burst, burst)
+    by_n = MODEL.gate_sigma * burst[0]
+    filtered.update(np.array([by_n, 0.0]))
+    kalman.update(300.0 + by_n, 0.0)
+    assert kalman.cell.surprised
+    assert np.array(kalman.state) - [300.0, 0.0, 0.0] == pytest.approx(filtered.x[:, 0], rel=1e-4, abs=1e-9)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

@@ -12,7 +12,6 @@ from tests.builders.paths import ROOT
 OWN = {
     "cell_correction": {"one", "term", "two"},
     "escalation": {"since"},
-    "estimator": {"kf", "self._kf"},
     "inclination": {"kf"},
     "logbook": {"values"},
     "move_learning": {"self._lesson", "table"},

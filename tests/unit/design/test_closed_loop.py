@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.control.law import estimator
 from rigctl.control.law.estimator import Array, TensionFilter, filter_model
 from rigctl.control.law.opening import Opening
 from rigctl.control.law.tension import Estimate, TensionLaw
@@ -73,15 +72,12 @@ def _impulse_of_the_model(loop: ClosedLoop, channel: int, ticks: int) -> list[tu
 )
 def test_margins_describe_the_code_that_runs(
     rig: Rig,
-    monkeypatch: pytest.MonkeyPatch,
     rate_hz: int,
     k_m: float | None,
     k_scale: float,
     delay_scale: int,
     channel: int,
 ) -> None:
-    # As shipped the filter freezes its gain 1e-6 early, which is 1e-4 of the (tiny) response to speed noise.
-    monkeypatch.setattr(estimator, "SETTLED_GAIN", 1e-12)
     settings = rig(loop={"rate_hz": rate_hz})
     model = filter_model(settings)
     plant = member(settings, k_m, k_scale, delay_scale)
@@ -101,7 +97,6 @@ def test_margins_of_each_setting_describe_the_code_that_runs(
     rig: Rig, monkeypatch: pytest.MonkeyPatch, rate_hz: int, k_m: float | None, level: float, swing: dict[str, Any]
 ) -> None:
     monkeypatch.setattr(Opening, "look", lambda self, _: setattr(self, "level", level))
-    monkeypatch.setattr(estimator, "NEAR_GAIN", 1e-3)
     settings = rig(loop={"rate_hz": rate_hz}, estimator={"quiet_disturbance_walk_mm_s": 3.0, **swing})
     model, plant = filter_model(settings), member(settings, k_m)
     gains = filter_gains(model)
