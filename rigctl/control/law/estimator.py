@@ -35,7 +35,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.law.gate import Gate
 from rigctl.control.law.kalman import settled_covariance
 from rigctl.control.law.opening import Opening, rest_variances
-from rigctl.control.law.swing import DisturbanceSwing, NoSwing, Swing, SwingPeriod
+from rigctl.control.law.swing import DisturbanceSwing, FilteredSwing, NoSwing, SwingPeriod
 
 Array = npt.NDArray[np.float64]
 
@@ -159,7 +159,7 @@ class TensionFilter:
         self._carry, self._forced = _rows(carry, np.zeros(3)), forced.T[:, :2].tolist()
         self._swing: DisturbanceSwing = NoSwing()
         if model.swing is not None:
-            self._swing = Swing(model.swing, (carry.item(0, 3), carry.item(0, 4)), model.delay_ticks)
+            self._swing = FilteredSwing(model.swing, (carry.item(0, 3), carry.item(0, 4)), model.delay_ticks)
         self.cell = Gate(model.gate_sigma, model.f.item(0, 2) * model.burst_mm_s)
         self.drive = Gate(model.gate_sigma, model.drive_burst_mm_s)
         self.known_mm_s = 0.0

@@ -6,7 +6,7 @@ first part a of a damped oscillation driven by white noise (`estimator.swing_hz`
     da/dt = -s a + w_d b + noise,   db/dt = -w_d a - s b + noise,   s = zeta w_0,   w_d = w_0 sqrt(1 - zeta^2)
 
 A swing is known ahead. The drive's speed v follows a command u as ``tau dv/dt = u - v``, so that v = -a needs
-u = -(a + tau da/dt): `Swing.lead_mm_s` is the second part.
+u = -(a + tau da/dt): `FilteredSwing.ahead` gives the second part.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class NoSwing:
         return 0.0, 0.0, 0.0
 
 
-class Swing:
+class FilteredSwing:
     """The swing's states in a filter.
 
     Args:
