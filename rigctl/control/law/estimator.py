@@ -312,7 +312,9 @@ class TensionFilter:
             self._open()
         tv, tw, tu, vv, vu = self._rows
         known = tw * self.known_mm_s
-        for _ in range(min(periods, MAX_CATCH_UP)):
+        left = periods if periods < MAX_CATCH_UP else MAX_CATCH_UP
+        while left > 0:  # no range: its calls cost as much as the arithmetic
+            left -= 1
             t, v, w = self._x
             u = sent[0]
             self._x = t + tv * v + tw * w + tu * u + known + self._swing.carry(), vv * v + vu * u, w
