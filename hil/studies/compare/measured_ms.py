@@ -142,7 +142,7 @@ def _pass(rig: Lockstep, of_drive: Lines, of_cell: Lines, count: int) -> list[Pe
     drive, cell, tick = rig.rig.drive, rig.rig.cell, -1
     if not isinstance(cell, TensionAmplifier):
         raise ScenarioError([f"{settings.rig}: tension_cell: found plain frames, expected the CANopen amplifier"])
-    own = cell.readers[objects.AI_PROCESS_VALUE, 1]
+    put_back = cell.putting_back()
 
     def moved(data: bytes) -> bytes:
         sent = int.from_bytes(data[_TARGET], "little", signed=True)
@@ -153,17 +153,19 @@ def _pass(rig: Lockstep, of_drive: Lines, of_cell: Lines, count: int) -> list[Pe
             + data[_TARGET.stop :]
         )
 
-    def read() -> int:
-        value = int(own()) + int(e[tick % count])
+    def added(own: int) -> int:
+        value = own + int(e[tick % count])
         reading[tick] = value
         return value
 
     try:
-        drive.rpdo_defect, cell.readers[objects.AI_PROCESS_VALUE, 1] = moved, read
+        drive.rpdo_defect = moved
+        cell.distort(objects.AI_PROCESS_VALUE, 1, added)
         for tick in range(total):  # noqa: B007 - the two functions above read it
             rig.tick()
     finally:
-        drive.rpdo_defect, cell.readers[objects.AI_PROCESS_VALUE, 1] = None, own
+        drive.rpdo_defect = None
+        put_back()
     if rig.loop.machine.mode is not Mode.COMPENSATING:
         raise ScenarioError([f"{settings.rig}: {rig.loop.machine.fault.name} while Ms was measured"], exit_code=1)
     found = []
