@@ -1,5 +1,5 @@
 """``python -m tests.bench [--json F] [--seconds S] [--rates R ...]``;
-``access|bridge|calls|holds|margins|report|telemetry|terminal --help``."""
+``access|bridge|calls|holds|margins|peaks|report|telemetry|terminal --help``."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rigctl.cli.progress import progress
 from rigctl.config import rig_file as config
 from rigctl.demo.lockstep import play_lockstep
 from rigctl.ipc.termination import on_signals
-from tests.bench import access, bridge, calls, holds, margins, plant, report, sensors, telemetry, terminal
+from tests.bench import access, bridge, calls, holds, margins, peaks, plant, report, sensors, telemetry, terminal
 from tests.builders import daemons
 
 FIGURES: dict[str, Callable[[list[str]], int]] = {
@@ -29,6 +29,7 @@ FIGURES: dict[str, Callable[[list[str]], int]] = {
     "calls": calls.main,
     "holds": holds.main,
     "margins": margins.main,
+    "peaks": peaks.main,
     "report": report.main,
     "sensors": sensors.main,
     "telemetry": telemetry.main,

@@ -111,4 +111,7 @@ def true_plant(rig: RigSettings) -> Member:
                           "plant.cylinder_lag_s": truth.lag_s})  # fmt: skip
     ticks = rig.plant.command_delay_s * simulation.delay_scale * rig.loop.rate_hz
     corner_hz = simulation.cell.filter_hz
-    return sampled(there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm, corner_hz)
+    return sampled(
+        there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm, corner_hz,
+        simulation.mechanism.damping_ratio,
+    )  # fmt: skip

@@ -5,19 +5,20 @@ and newtons e on what the cell sends. With c the loop's command as the drive rec
 
     S_input = (c + d) / d at the lines of d,    S_output = y / e at the lines of e
 
-over whole periods, whatever the loop does: nothing of it is known here. A first pass looks from ``LOW_HZ`` to
-``HIGH_HZ``, a second one closer about the highest lines of the first. The uncertainty is that of the scatter from
-period to period, 95 %. A filter with two settings is held at a level meanwhile; at each the largest |S| is measured.
-Our law runs without the loop's probe, as the rivals do: its multisine has the same period, so that it adds to lines of
-ours, and ours do not average out in its judgement (it took the cell of one rig in twenty for a frozen one).
+over whole periods, whatever the loop does: nothing of it is known here. Which lines, pass after pass, is a matter of
+`hil.studies.compare.peak_search`: from 0.3 to 400 Hz, then closer, for at most 120 s a level. The uncertainty has the
+scatter from period to period, 95 %, and what the lines may miss between them. It has not what is not linear: the
+drive's dead band and ripple. A filter with two settings is held at a level meanwhile; at each the largest |S| is
+measured. Our law runs without the loop's probe, as the rivals do: its multisine has periods in common with ours, so
+that it adds to lines of ours, and ours do not average out in its judgement (it took the cell of one rig in twenty for
+a frozen one).
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from random import Random
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +27,9 @@ from hil.lockstep import Lockstep, lockstep
 from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import bring_to_target
+from hil.studies.compare import peak_hints
+from hil.studies.compare.local_peak import Line
+from hil.studies.compare.peak_search import PLACES, Excitation, Span, largest
 from rigctl.commission.identification import student_t
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
@@ -35,20 +39,21 @@ from rigctl.control.loop import LawFactory
 from rigctl.devices import objects
 from rigctl.model.states import Mode
 
-Lines = npt.NDArray[np.intp]
 Floats = npt.NDArray[np.float64]
 
-PERIOD_S, PERIODS, SETTLE_S = 2.0, 4, 2.0
-LOW_HZ, HIGH_HZ, FIRST_LINES = 1.5, 400.0, 36
-CLOSER, CLOSER_LINES = 1.3, 14
-"""The second pass goes from the frequency of the first one's peak over this factor to that times it."""
-SPEED_RMS_MM_S, NOISE_TIMES = 0.8, 3.0
-"""Of d: well above the drive's dead band, and below every limit. Of e: so many times the cell's noise."""
+HIGH_HZ = 400.0
+SPEED_RMS_MM_S, NOISE_TIMES = 0.8, 1.0
+"""Of d: well above the drive's dead band, and below every limit. Of e: so many times the cell's noise, and more at low
+frequencies, where the drive's own noise is a wander of the tension. With three times the noise, the filter's gate of
+five sigma rejected samples, and the loop was not linear."""
+FOLLOWED_MM_S, MOST_N = 0.4, 1.0
+"""Of e at low frequencies: the speed with which the rope's end follows it, and the most newtons."""
 LESS_NOISE = 0.1
 """Of the cell's noise is left meanwhile: a linear loop's S does not depend on it, and 100 times as many periods would
 take as many hours as this does minutes. What the loop believes of its noise stays."""
-PLACES = "input", "output"
 SETTLING_S = 3.0
+POOLED = 2
+"""Lines on either side of one whose scatter counts as much as its own: two periods alone say little of it."""
 _TARGET = slice(2, 6)  # of the RPDO: INTEGER32 behind the controlword
 
 
@@ -92,6 +97,7 @@ def measured(
     Raises:
         ScenarioError: the rig does not get to COMPENSATING, or does not stay there.
     """
+    ours = law is None
     if law is None:  # a loop that is given its law has no probe
 
         def law(settings: RigSettings, gains: Gains, _inbox: Inbox) -> TensionLaw:
@@ -106,38 +112,35 @@ def measured(
             rig.clock.late_ns = round(most_ns * random.random())
 
         rig.on_advance = wake_late
-        return max((_at_level(rig, level) for level in levels), key=lambda peak: peak.ms)
+        plants, top_hz = peak_hints.plants(built), min(HIGH_HZ, 0.45 * rig.settings.loop.rate_hz)
+        found = []
+        for level in levels:
+            spans = peak_hints.of_mechanism(plants)
+            if ours:
+                law_then = peak_hints.law_at(believed, gains, level)
+                spans += peak_hints.of_loop(plants, law_then, 1.0 / believed.loop.rate_hz, top_hz)
+            found.append(_at_level(rig, level, spans, top_hz))
+        return max(found, key=lambda peak: peak.ms)
 
 
-def _at_level(rig: Lockstep, level: float) -> Peak:
+def _at_level(rig: Lockstep, level: float, spans: Sequence[Span], top_hz: float) -> Peak:
     filtering = rig.view.filter
     if filtering.opening is not None:
         filtering.opening = HeldLevel(level)  # type: ignore[assignment]
-    count = round(PERIOD_S * rig.settings.loop.rate_hz)
-    top_hz = min(HIGH_HZ, 0.45 * rig.settings.loop.rate_hz)
-    wide = _apart(np.geomspace(LOW_HZ, top_hz, 2 * FIRST_LINES))
-    found = _pass(rig, wide[::2], wide[1::2], count)
-    highest = (max((peak for peak in found if peak.place == place), key=lambda peak: peak.ms) for place in PLACES)
-    near = [_apart(np.geomspace(at.hz / CLOSER, min(at.hz * CLOSER, top_hz), CLOSER_LINES)) for at in highest]
-    of_drive = near[0]
-    of_cell = np.setdiff1d(near[1] + np.isin(near[1], of_drive), of_drive)
-    found += _pass(rig, of_drive, of_cell, count)
-    return max(found, key=lambda peak: peak.ms)._replace(level=level)
+    found = largest(lambda excitation: _pass(rig, excitation), spans, top_hz)
+    return Peak(found.ms, found.error, found.hz, found.place, level)
 
 
-def _apart(hz: Floats) -> Lines:
-    """Harmonics of the period, each once."""
-    return np.unique(np.maximum(1, np.round(hz * PERIOD_S))).astype(np.intp)
-
-
-def _pass(rig: Lockstep, of_drive: Lines, of_cell: Lines, count: int) -> list[Peak]:
-    """|S| at the plant's input and at the tension, at these lines."""
+def _pass(rig: Lockstep, excitation: Excitation) -> list[Line]:
+    """S at the plant's input and at the tension, at these lines."""
     settings = rig.settings
-    d = np.round(_multisine(of_drive, count, SPEED_RMS_MM_S) / objects.MM_S_PER_VELOCITY_UNIT).astype(int)
-    noise_n = NOISE_TIMES * settings.tension_cell.noise_n
-    e = np.round(_multisine(of_cell, count, noise_n) / objects.N_PER_CELL_UNIT).astype(int)
-    settle = math.ceil(SETTLE_S / PERIOD_S) * count
-    total = settle + PERIODS * count
+    count, settle = (round(s * settings.loop.rate_hz) for s in (excitation.period_s, excitation.settle_s))
+    of_drive, of_cell = (np.array(each, np.intp) for each in excitation.harmonics)
+    d_mm_s = _multisine(of_drive, count, np.full(len(of_drive), SPEED_RMS_MM_S))
+    e_n = _multisine(of_cell, count, _newtons(settings, of_cell / excitation.period_s))
+    d = np.round(d_mm_s / objects.MM_S_PER_VELOCITY_UNIT).astype(int)
+    e = np.round(e_n / objects.N_PER_CELL_UNIT).astype(int)
+    total = settle + excitation.periods * count
     command, reading = np.zeros(total), np.zeros(total)
     drive, cell, tick = rig.rig.drive, rig.rig.cell, -1
     if not isinstance(cell, TensionAmplifier):
@@ -146,15 +149,12 @@ def _pass(rig: Lockstep, of_drive: Lines, of_cell: Lines, count: int) -> list[Pe
 
     def moved(data: bytes) -> bytes:
         sent = int.from_bytes(data[_TARGET], "little", signed=True)
-        command[tick] = sent
-        return (
-            data[: _TARGET.start]
-            + (sent + int(d[tick % count])).to_bytes(4, "little", signed=True)
-            + data[_TARGET.stop :]
-        )
+        moved_by = int(d[(tick - settle) % count])
+        command[tick] = sent + moved_by
+        return data[: _TARGET.start] + (sent + moved_by).to_bytes(4, "little", signed=True) + data[_TARGET.stop :]
 
     def added(own: int) -> int:
-        value = own + int(e[tick % count])
+        value = own + int(e[(tick - settle) % count])
         reading[tick] = value
         return value
 
@@ -168,26 +168,39 @@ def _pass(rig: Lockstep, of_drive: Lines, of_cell: Lines, count: int) -> list[Pe
         put_back()
     if rig.loop.machine.mode is not Mode.COMPENSATING:
         raise ScenarioError([f"{settings.rig}: {rig.loop.machine.fault.name} while Ms was measured"], exit_code=1)
+    outputs = command[settle:].reshape(-1, count), reading[settle:].reshape(-1, count)
     found = []
-    for place, where, input_, output in (
-        (PLACES[0], of_drive, d, command + np.tile(d, total // count)), (PLACES[1], of_cell, e, reading)
-    ):  # fmt: skip
-        source = np.fft.rfft(input_)[where]
-        periods = np.fft.rfft(output[settle:].reshape(PERIODS, count), axis=1)[:, where] / source
-        mean = periods.mean(axis=0)
-        spread = np.sqrt(np.sum(np.abs(periods - mean) ** 2, axis=0) / (PERIODS * (PERIODS - 1.0)) / 2.0)
-        errors = student_t(2 * (PERIODS - 1)) * spread
-        found += [
-            Peak(abs(complex(value)), float(error), float(line / PERIOD_S), place, 1.0)
-            for value, error, line in zip(mean, errors, where, strict=True)
-        ]
+    for place, harmonics, acting, output in zip(PLACES, excitation.harmonics, (d, e), outputs, strict=True):
+        if harmonics:
+            values, errors = _with_errors(output, acting, np.array(harmonics, np.intp))
+            found += [
+                Line(place, harmonic / excitation.period_s, complex(value), float(error))
+                for harmonic, value, error in zip(harmonics, values, errors, strict=True)
+            ]
     return found
 
 
-def _multisine(lines: Lines, count: int, rms: float) -> Floats:
-    """Equal amplitudes with Schroeder's phases."""
-    places = np.arange(len(lines))
-    spectrum = np.zeros(count // 2 + 1, np.complex128)
-    spectrum[lines] = np.exp(-1j * np.pi * places * (places - 1.0) / len(lines))
-    wave = np.fft.irfft(spectrum, count)
-    return np.asarray(wave * rms / np.sqrt(np.mean(wave**2)))
+def _with_errors(output: Floats, acting: npt.NDArray[np.int_], harmonics: npt.NDArray[np.intp]) -> tuple[Any, Floats]:
+    """S at the harmonics from one row for each period, and half of the 95 % interval of its modulus."""
+    periods = np.fft.rfft(output, axis=1)[:, harmonics] / np.fft.rfft(acting)[harmonics]
+    mean, count = periods.mean(axis=0), len(periods)
+    variance = np.sum(np.abs(periods - mean) ** 2, axis=0) / (count * (count - 1.0)) / 2.0
+    pooled = min(1 + 2 * POOLED, len(harmonics))
+    shares = np.ones(pooled)
+    variance = np.convolve(variance, shares, "same") / np.convolve(np.ones(len(variance)), shares, "same")
+    return mean, student_t(2 * (count - 1) * (pooled // 2 + 1)) * np.sqrt(variance)
+
+
+def _newtons(settings: RigSettings, hz: Floats) -> Floats:
+    """The rms that e would have if all of its lines were as strong as that at each of these frequencies."""
+    followed = np.minimum(FOLLOWED_MM_S * settings.plant.stiffness_n_mm / (2.0 * np.pi * hz), MOST_N)
+    return np.maximum(followed, NOISE_TIMES * settings.tension_cell.noise_n)
+
+
+def _multisine(harmonics: npt.NDArray[np.intp], count: int, rms: Floats) -> Floats:
+    """One period, with Schroeder's phases; ``rms``: of the whole, if all lines were as strong as each."""
+    spectrum, places = np.zeros(count // 2 + 1, np.complex128), np.arange(len(harmonics))
+    lines = max(1, len(harmonics))
+    amplitudes = rms * np.sqrt(2.0 / lines)
+    spectrum[harmonics] = 0.5 * count * amplitudes * np.exp(-1j * np.pi * places * (places - 1.0) / lines)
+    return np.asarray(np.fft.irfft(spectrum, count))
