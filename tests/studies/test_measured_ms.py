@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pathlib
 
+import numpy as np
 import pytest
 
 from hil.faults.in_controller import MOST_LATE
 from hil.runs.rows_file import RowsFile
-from hil.studies.compare import equal_limits, random_rigs
+from hil.studies.compare import equal_limits, peak_hints, random_rigs
 from hil.studies.compare.equal_limits import Known, LoopLaw, loop_law, tuning
 from hil.studies.compare.identification import true_plant
 from hil.studies.compare.measured_ms import measured
@@ -20,6 +21,8 @@ from rigctl.control.law.tension import Gains
 from rigctl.design.knobs import value_of
 from rigctl.design.margins import design_and_check, judge
 from rigctl.design.plant_family import Family
+from tests.builders import linear_plant
+from tests.builders.linear_plant import true_sensitivities
 from tests.builders.paths import ROOT
 
 RIG = config.load(ROOT / "config/paper_rig.yaml")
@@ -39,6 +42,21 @@ def test_the_measured_peak_is_that_of_the_plant_as_built(keener: float, about: f
     peak = measured(RIG, RIG, gains)
     assert peak.error < 0.05
     assert abs(peak.ms - true) < peak.error + AGREES
+
+
+def test_a_peak_at_one_hertz_on_a_soft_mechanism_is_found() -> None:
+    """It is below 1.5 Hz, and the design, for a rigid mechanism, does not have it. The limits of the file trip there."""
+    soft = {"plant.mechanism_n_mm": 6.0, "simulation.mechanism.vertical_n_mm": 6.0, "limits": []}
+    stiff = changed(RIG, {"plant.spring_n_mm": 34.0})
+    rig, gains = changed(stiff, soft), design_and_check(stiff).gains
+    hz = np.geomspace(0.3, 400.0, 20_000)
+    law = peak_hints.law_at(rig, gains, 1.0).response(np.exp(2j * np.pi * hz / rig.loop.rate_hz))
+    moduli = np.abs(true_sensitivities(linear_plant.true_plant(rig), *law, hz)).max(axis=0)
+    assert float(moduli.max()) == pytest.approx(1.50, abs=0.01)
+    peak = measured(rig, rig, gains)
+    assert peak.hz == pytest.approx(float(hz[np.argmax(moduli)]), rel=0.02)
+    assert peak.ms == pytest.approx(float(moduli.max()), abs=0.01)
+    assert peak.error < 0.005
 
 
 def test_ticks_that_wake_late_are_within_the_delays_that_the_design_allows_for() -> None:

@@ -23,7 +23,7 @@ DEGREE = 3
 BEYOND = 2.0
 """The terms left out add up to this times the last one that is not, if each is at most 2/3 of the one before."""
 COUNTS = 31, 21, 15, 11, 9, 7, 5
-"""Of lines that take part: the most of which the polynomial is within their errors, the least in any case."""
+"""Of lines that take part: the most of which both polynomials are within their errors, the least in any case."""
 FITS = 1.0
 """Most of the mean square of a residual over the 95 % error of its line; 0.52 is that of normal errors."""
 FINE = 201
@@ -95,7 +95,7 @@ def _peak(lines: Sequence[Line], at: int) -> LocalPeak:
         middle, half = 0.5 * (u[first] + u[first + count - 1]), 0.5 * (u[first + count - 1] - u[first])
         x = (u - middle) / half
         fits = [_Fit(x[near], inverse[near], errors[near], degree) for degree in (DEGREE, DEGREE - 1)]
-        if fits[0].misfit <= FITS:
+        if max(fit.misfit for fit in fits) <= FITS:
             break
     between = np.linspace(x[max(at - 1, 0)], x[min(at + 1, len(x) - 1)], FINE)
     curves = [fit.at(between) for fit in fits]
