@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hil.studies.compare import peak_hints
-from hil.studies.compare.local_peak import Line
-from hil.studies.compare.peak_search import PLACES, Excitation, Span
+from hil.studies.compare.local_peak import SensitivityLine
+from hil.studies.compare.peak_search import PLACES, SearchPass, Span
 from rigctl.config.changed_settings import changed
 from rigctl.control.law.tension import Gains
 from rigctl.design.closed_loop import Controller
@@ -123,14 +123,16 @@ class Loop:
         ]  # fmt: skip
         return [*peak_hints.of_mechanism(members), *peak_hints.of_loop(members, self.law, PERIOD_S, TOP_HZ)]
 
-    def measure(self, excitation: Excitation, error: float, rng: np.random.Generator) -> list[Line]:
+    def measure(self, excitation: SearchPass, error: float, rng: np.random.Generator) -> list[SensitivityLine]:
         """S at the lines of a pass with normal errors; ``error``: half of the 95 % interval of a modulus."""
         found = []
         for place, harmonics in zip(PLACES, excitation.harmonics, strict=True):
             hz = np.array(harmonics) / excitation.period_s
             noise = rng.normal(size=(2, len(hz))) * error / 1.96
             values = self.at(place, hz) + noise[0] + 1j * noise[1]
-            found += [Line(place, float(f), complex(value), error) for f, value in zip(hz, values, strict=True)]
+            found += [
+                SensitivityLine(place, float(f), complex(value), error) for f, value in zip(hz, values, strict=True)
+            ]
         return found
 
 

@@ -45,7 +45,7 @@ def test_the_measured_peak_is_that_of_the_plant_as_built(keener: float, about: f
 
 
 def test_a_peak_at_one_hertz_on_a_soft_mechanism_is_found() -> None:
-    """It is below 1.5 Hz, and the design, for a rigid mechanism, does not have it. The limits of the file trip there."""
+    """It is below 1.5 Hz, and the design, for a rigid mechanism, does not have it; limits of the file trip there."""
     soft = {"plant.mechanism_n_mm": 6.0, "simulation.mechanism.vertical_n_mm": 6.0, "limits": []}
     stiff = changed(RIG, {"plant.spring_n_mm": 34.0})
     rig, gains = changed(stiff, soft), design_and_check(stiff).gains

@@ -33,7 +33,7 @@ NO_ERROR = 1e-9
 """Least error of a line in the weights."""
 
 
-class Line(NamedTuple):
+class SensitivityLine(NamedTuple):
     """S measured at a frequency; ``error``: of its modulus, half of the 95 % interval."""
 
     place: str
@@ -62,7 +62,7 @@ class LocalPeak(NamedTuple):
         return self.scatter + self.missed
 
 
-def local_peaks(lines: Sequence[Line]) -> list[LocalPeak]:
+def local_peaks(lines: Sequence[SensitivityLine]) -> list[LocalPeak]:
     """Every maximum of |S| over the lines of one place."""
     of_place = _each_once(lines)
     moduli = np.array([abs(line.value) for line in of_place])
@@ -71,7 +71,7 @@ def local_peaks(lines: Sequence[Line]) -> list[LocalPeak]:
     return [_peak(of_place, int(at)) for at in np.flatnonzero(moduli >= highest)]
 
 
-def _each_once(lines: Sequence[Line]) -> list[Line]:
+def _each_once(lines: Sequence[SensitivityLine]) -> list[SensitivityLine]:
     """In the order of frequency; one that was measured in several passes has the mean, weighted by its errors."""
     found = []
     for _, same in groupby(sorted(lines, key=lambda line: line.hz), key=lambda line: round(line.hz, 6)):
@@ -82,7 +82,7 @@ def _each_once(lines: Sequence[Line]) -> list[Line]:
     return found
 
 
-def _peak(lines: Sequence[Line], at: int) -> LocalPeak:
+def _peak(lines: Sequence[SensitivityLine], at: int) -> LocalPeak:
     """About the line at this place of the list, which is in the order of frequency."""
     u = np.log([line.hz for line in lines])
     inverse: Complex = 1.0 / np.array([line.value for line in lines], np.complex128)

@@ -28,8 +28,8 @@ from hil.nodes.tension_amplifier import TensionAmplifier
 from hil.scenario.errors import ScenarioError
 from hil.scenario.play import bring_to_target
 from hil.studies.compare import peak_hints
-from hil.studies.compare.local_peak import Line
-from hil.studies.compare.peak_search import PLACES, Excitation, Span, largest
+from hil.studies.compare.local_peak import SensitivityLine
+from hil.studies.compare.peak_search import PLACES, SearchPass, Span, largest
 from rigctl.commission.identification import student_t
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
@@ -131,7 +131,7 @@ def _at_level(rig: Lockstep, level: float, spans: Sequence[Span], top_hz: float)
     return Peak(found.ms, found.error, found.hz, found.place, level)
 
 
-def _pass(rig: Lockstep, excitation: Excitation) -> list[Line]:
+def _pass(rig: Lockstep, excitation: SearchPass) -> list[SensitivityLine]:
     """S at the plant's input and at the tension, at these lines."""
     settings = rig.settings
     count, settle = (round(s * settings.loop.rate_hz) for s in (excitation.period_s, excitation.settle_s))
@@ -174,7 +174,7 @@ def _pass(rig: Lockstep, excitation: Excitation) -> list[Line]:
         if harmonics:
             values, errors = _with_errors(output, acting, np.array(harmonics, np.intp))
             found += [
-                Line(place, harmonic / excitation.period_s, complex(value), float(error))
+                SensitivityLine(place, harmonic / excitation.period_s, complex(value), float(error))
                 for harmonic, value, error in zip(harmonics, values, errors, strict=True)
             ]
     return found

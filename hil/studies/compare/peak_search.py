@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hil.studies.compare.local_peak import Line, LocalPeak, local_peaks
+from hil.studies.compare.local_peak import LocalPeak, SensitivityLine, local_peaks
 
 PLACES = "input", "output"
 BUDGET_S = 120.0
@@ -30,7 +30,7 @@ FURTHEST = 0.3
 """Of a closer pass: its lines are within so much of the maximum, as a share of its frequency."""
 
 
-class Excitation(NamedTuple):
+class SearchPass(NamedTuple):
     """What acts in a pass: harmonics of a period at the plant's input and others at the tension."""
 
     period_s: float
@@ -45,10 +45,10 @@ class Excitation(NamedTuple):
         return self.settle_s + self.periods * self.period_s
 
 
-FIRST = Excitation(10.0, 2, 5.0)
-CLOSER = Excitation(2.0, 8, 2.0), Excitation(5.0, 4, 2.5), Excitation(10.0, 3, 5.0), Excitation(20.0, 2, 5.0)
+FIRST = SearchPass(10.0, 2, 5.0)
+CLOSER = SearchPass(2.0, 8, 2.0), SearchPass(5.0, 4, 2.5), SearchPass(10.0, 3, 5.0), SearchPass(20.0, 2, 5.0)
 """Of these the first that has its lines near enough to each other."""
-Measure = Callable[[Excitation], list[Line]]
+Measure = Callable[[SearchPass], list[SensitivityLine]]
 
 
 class Span(NamedTuple):
@@ -59,7 +59,7 @@ class Span(NamedTuple):
     width: float
 
 
-class Found(NamedTuple):
+class HighestPeak(NamedTuple):
     """The largest |S|, half of its 95 % interval, where, and what it took."""
 
     ms: float
@@ -69,11 +69,11 @@ class Found(NamedTuple):
     seconds: float
 
 
-def largest(measure: Measure, spans: Sequence[Span], top_hz: float) -> Found:
+def largest(measure: Measure, spans: Sequence[Span], top_hz: float) -> HighestPeak:
     """The largest |S| from `LOW_HZ` to ``top_hz`` at either place."""
-    lines: list[Line] = []
+    lines: list[SensitivityLine] = []
     seconds = 0.0
-    wanted: Excitation | None = _with_lines(FIRST, *(_first_lines(spans, top_hz, share) for share in (0.0, 0.5)))
+    wanted: SearchPass | None = _with_lines(FIRST, *(_first_lines(spans, top_hz, share) for share in (0.0, 0.5)))
     while wanted is not None:
         lines += measure(wanted)
         seconds += wanted.seconds
@@ -81,7 +81,7 @@ def largest(measure: Measure, spans: Sequence[Span], top_hz: float) -> Found:
         best = max(peaks, key=lambda peak: peak.ms - peak.error)
         wanted = _closer(peaks, best, top_hz, BUDGET_S - seconds, first=wanted.period_s == FIRST.period_s)
     upper = max(peak.ms + peak.error for peak in peaks)
-    return Found(best.ms, max(best.error, upper - best.ms), best.hz, best.place, seconds)
+    return HighestPeak(best.ms, max(best.error, upper - best.ms), best.hz, best.place, seconds)
 
 
 def _first_lines(spans: Sequence[Span], top_hz: float, shift: float) -> list[float]:
@@ -99,7 +99,7 @@ def _first_lines(spans: Sequence[Span], top_hz: float, shift: float) -> list[flo
 
 def _closer(
     peaks: Sequence[LocalPeak], best: LocalPeak, top_hz: float, left_s: float, *, first: bool
-) -> Excitation | None:
+) -> SearchPass | None:
     """The pass about the maxima that may be the largest; None once it is known well enough, or no time is left."""
     least = best.ms - best.error
     rivals = []
@@ -130,7 +130,7 @@ def _reach(peak: LocalPeak) -> float:
     return min(peak.reach, FURTHEST)
 
 
-def _with_lines(bare: Excitation, of_input: Sequence[float], of_output: Sequence[float]) -> Excitation:
+def _with_lines(bare: SearchPass, of_input: Sequence[float], of_output: Sequence[float]) -> SearchPass:
     """With the harmonics nearest to these frequencies; of those that both want, each place takes every other one."""
     first, second = (
         {max(1, round(hz * bare.period_s)) for hz in wanted if hz >= 0.5 * LOW_HZ} for wanted in (of_input, of_output)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.studies.compare.local_peak import Line, local_peaks
-from hil.studies.compare.peak_search import BUDGET_S, CLOSER, FIRST, LOW_HZ, Excitation, largest
+from hil.studies.compare.local_peak import SensitivityLine, local_peaks
+from hil.studies.compare.peak_search import BUDGET_S, CLOSER, FIRST, LOW_HZ, SearchPass, largest
 from tests.bench.peaks import searched
 from tests.builders.drawn_loops import TOP_HZ, Loop, drawn
 
@@ -36,13 +36,13 @@ def test_an_interval_has_the_errors_of_the_lines(loops: list[Loop]) -> None:
 
 def test_a_search_takes_no_more_than_its_time_however_little_it_learns() -> None:
     """Lines of noise alone."""
-    rng, passes = np.random.default_rng(1), list[Excitation]()
+    rng, passes = np.random.default_rng(1), list[SearchPass]()
 
-    def measure(excitation: Excitation) -> list[Line]:
+    def measure(excitation: SearchPass) -> list[SensitivityLine]:
         passes.append(excitation)
         both = zip(("input", "output"), excitation.harmonics, strict=True)
         return [
-            Line(place, harmonic / excitation.period_s, 1.0 + complex(*rng.normal(size=2)), 0.5)
+            SensitivityLine(place, harmonic / excitation.period_s, 1.0 + complex(*rng.normal(size=2)), 0.5)
             for place, harmonics in both
             for harmonic in harmonics
         ]
@@ -54,12 +54,12 @@ def test_a_search_takes_no_more_than_its_time_however_little_it_learns() -> None
 
 
 def test_the_first_pass_begins_at_its_lowest_frequency_and_no_line_is_of_both_places() -> None:
-    first = list[Excitation]()
+    first = list[SearchPass]()
 
-    def measure(excitation: Excitation) -> list[Line]:
+    def measure(excitation: SearchPass) -> list[SensitivityLine]:
         first.append(excitation)
         both = zip(("input", "output"), excitation.harmonics, strict=True)
-        return [Line(place, each / excitation.period_s, 1.0 + 0j, 0.0) for place, of in both for each in of]
+        return [SensitivityLine(place, each / excitation.period_s, 1.0 + 0j, 0.0) for place, of in both for each in of]
 
     largest(measure, [], TOP_HZ)
     for excitation in first:
@@ -72,7 +72,7 @@ def test_the_first_pass_begins_at_its_lowest_frequency_and_no_line_is_of_both_pl
 
 def test_the_top_between_two_lines_is_that_of_a_resonance() -> None:
     """S = 1 / (a + j b (f - f0)): its top is 1 / a at f0, and a line apart it is far lower."""
-    lines = [Line("input", hz, 1.0 / (0.6 + 4.0j * (hz - 10.13)), 1e-6) for hz in np.arange(9.0, 11.5, 0.1)]
+    lines = [SensitivityLine("input", hz, 1.0 / (0.6 + 4.0j * (hz - 10.13)), 1e-6) for hz in np.arange(9.0, 11.5, 0.1)]
     highest = max(local_peaks(lines), key=lambda peak: peak.ms)
     assert highest.ms == pytest.approx(1.0 / 0.6, abs=1e-4)
     assert highest.hz == pytest.approx(10.13, abs=1e-3)
