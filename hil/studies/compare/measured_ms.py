@@ -48,6 +48,8 @@ frequencies, where the drive's own noise is a wander of the tension. With three 
 five sigma rejected samples, and the loop was not linear."""
 FOLLOWED_MM_S, MOST_N = 0.4, 1.0
 """Of e at low frequencies: the speed with which the rope's end follows it, and the most newtons."""
+LEAST_SHARED = 40
+"""Lines that share this rms at least: fewer, all of them about the largest |S|, would be stronger and meet a limit."""
 LESS_NOISE = 0.1
 """Of the cell's noise is left meanwhile: a linear loop's S does not depend on it, and 100 times as many periods would
 take as many hours as this does minutes. What the loop believes of its noise stays."""
@@ -198,9 +200,9 @@ def _newtons(settings: RigSettings, hz: Floats) -> Floats:
 
 
 def _multisine(harmonics: npt.NDArray[np.intp], count: int, rms: Floats) -> Floats:
-    """One period, with Schroeder's phases; ``rms``: of the whole, if all lines were as strong as each."""
+    """One period, with Schroeder's phases; ``rms``: of the whole, if `LEAST_SHARED` lines or more were as strong."""
     spectrum, places = np.zeros(count // 2 + 1, np.complex128), np.arange(len(harmonics))
     lines = max(1, len(harmonics))
-    amplitudes = rms * np.sqrt(2.0 / lines)
+    amplitudes = rms * np.sqrt(2.0 / max(lines, LEAST_SHARED))
     spectrum[harmonics] = 0.5 * count * amplitudes * np.exp(-1j * np.pi * places * (places - 1.0) / lines)
     return np.asarray(np.fft.irfft(spectrum, count))
