@@ -261,12 +261,14 @@ class TensionFilter:
                 speed_mm_s -= (driven * self._sent[0] - (1.0 - kept) * v) * periods
         y0 = tension_n - t if tension_n is not None else None
         y1 = speed_mm_s - v if speed_mm_s is not None else None
-        ticks, s00 = self.cell.since, self._variance()
+        ticks, s00, opening = self.cell.since, self._variance_n2, self.opening
+        if opening is not None:
+            s00 += (1.0 - opening.level) * (self._quiet_variance_n2 - s00)
         if not self.cell.believes(y0, s00):
             y0 = None
         if not self.drive.believes(y1, self._variance_mm2_s2):
             y1 = None
-        surprised, opening = self.cell.surprised, self.opening
+        surprised = self.cell.surprised
         gain = self._of_tension if not surprised else self._of_burst(ticks)
         (kt, kv, kw), rest = gain.first, gain.rest
         (lt, lv, lw), by_speed = self._of_speed.first, self._of_speed.rest
@@ -288,12 +290,6 @@ class TensionFilter:
         self.refused += 1
         return None
 
-    def _variance(self) -> float:
-        """Variance of the tension's innovation."""
-        if self.opening is None:
-            return self._variance_n2
-        return self._variance_n2 + (1.0 - self.opening.level) * (self._quiet_variance_n2 - self._variance_n2)
-
     def _of_burst(self, ticks: int) -> _Gain:
         """The gain that follows a surprising tension: of the covariance widened by a burst of disturbance."""
         model, speed = self.model, self.model.burst_mm_s
@@ -312,9 +308,7 @@ class TensionFilter:
             self._open()
         tv, tw, tu, vv, vu = self._rows
         known = tw * self.known_mm_s
-        left = periods if periods < MAX_CATCH_UP else MAX_CATCH_UP
-        while left > 0:  # no range: its calls cost as much as the arithmetic
-            left -= 1
+        for _ in range(min(periods, MAX_CATCH_UP)):
             t, v, w = self._x
             u = sent[0]
             self._x = t + tv * v + tw * w + tu * u + known + self._swing.carry(), vv * v + vu * u, w
