@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rigctl.wire.alarms import Alarm
 
 LINES = 8
-"""Of the terminal, at most, below the head (rig, mode and load), on 80 columns or more."""
+"""Of the terminal, at most, below the head (rig, mode, who began it, load), on 80 columns or more."""
 
 All = Annotated[bool, typer.Option("--all", help="Show every cause, alarm, value and warning.")]
 
@@ -32,6 +32,7 @@ def status(all_: All = False, json: Json = False, connect: Connect = None, rig: 
     at most eight lines say why, and what this computer shows of the rig without the gateway.
     """
     from rigctl.wire.alarms import Alarms
+    from rigctl.wire.mode_origin import ModeOrigin
 
     def otherwise(endpoint: str, error: Exception) -> NoReturn:
         from rigctl.cli.unanswered import end_unanswered
@@ -39,7 +40,7 @@ def status(all_: All = False, json: Json = False, connect: Connect = None, rig: 
         end_unanswered(endpoint, rig, error, json=json)
 
     with daemon(connect, rig, otherwise) as client:
-        known = Alarms(client.past_events()) if not json else None
+        events = client.past_events() if not json else []
         state = client.state()
         active = client.active() if not json else {}
         endpoint = client.endpoint
@@ -47,8 +48,11 @@ def status(all_: All = False, json: Json = False, connect: Connect = None, rig: 
         say_json(state)
     else:
         lock_out = str(((active.get("settings") or {}).get("safety") or {}).get("lock_out") or "")
-        now_ns = time.time_ns()
-        _show(state, endpoint, known.rows(state, now_ns) if known is not None else [], now_ns, lock_out, all_=all_)
+        now_ns, origin = time.time_ns(), ModeOrigin()
+        for event in events:
+            origin.note(event)
+        alarms = Alarms(events).rows(state, now_ns)
+        _show(state, endpoint, alarms, now_ns, lock_out, all_=all_, began=figures.began(origin.now))
     end(DONE if state["loop_alive"] else BAD)
 
 
@@ -144,8 +148,9 @@ def _values(state: dict[str, Any]) -> Iterator[tuple[str, str, str]]:
 
 
 def _show(
-    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, *, all_: bool
-) -> None:
+    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, *, all_: bool,
+    began: str = "",
+) -> None:  # fmt: skip
     from rich.console import Console
     from rich.text import Text
 
@@ -153,10 +158,12 @@ def _show(
     whole = grid([("rig", Text(f"{state['rig']} at {endpoint}"))])
     for label, value, style in rows(state, alarms, now_ns, lock_out):
         whole.add_row(label, Text(value, style))
+        if label == "mode" and began:
+            whole.add_row("", Text(began))
     if all_:
         console.print(whole)
         return
-    brief = _brief(state, endpoint, alarms, now_ns, lock_out, console)
+    brief = _brief(state, endpoint, alarms, now_ns, lock_out, console, began)
     console.print(brief)
     more = len(console.render_lines(whole)) - len(console.render_lines(brief))
     if more > 0:
@@ -164,8 +171,9 @@ def _show(
 
 
 def _brief(
-    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, console: Console
-) -> Table:
+    state: dict[str, Any], endpoint: str, alarms: Sequence[Alarm], now_ns: int, lock_out: str, console: Console,
+    began: str = "",
+) -> Table:  # fmt: skip
     from rich.text import Text
 
     from rigctl.wire.operator_view import view
@@ -173,7 +181,8 @@ def _brief(
     seen = view(state, alarms, lock_out)
     mode = Text.assemble((f" {figures.mode(state)} ", figures.mode_style(state)), f"  {seen.entry}: {seen.entry_why}")
     load = "; ".join(filter(None, (figures.held(state), figures.ending(state)))) if state["loop_alive"] else seen.does
-    table = grid([("rig", Text(f"{state['rig']} at {endpoint}")), ("mode", mode), ("load", Text(load))])
+    since = [("", Text(began))] if began else []
+    table = grid([("rig", Text(f"{state['rig']} at {endpoint}")), ("mode", mode), *since, ("load", Text(load))])
 
     def height(text: str) -> int:
         return len(console.render_lines(grid([("", Text(text))])))

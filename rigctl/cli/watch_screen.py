@@ -149,8 +149,8 @@ class Screen:
         why, origin = figures.why(state), view.origin.now
         said = [*culprit_rows(state), ("why", why, "bold red")] if why else culprit_rows(state)
         more = [("active", text, "bold red") for text in figures.causes(state) if not text.startswith(f"{why}, since")]
-        if origin is not None:
-            more.append(("in this mode", f"since {figures.clock(origin.since_ns)[:-2]}, {origin.by}", ""))
+        if began := figures.began(origin):
+            more.append(("in this mode", began, ""))
         return said + banner_rows(state, operator_view(state, alarms, lock_out)), more + alarm_rows(
             alarms, now_ns, state
         )

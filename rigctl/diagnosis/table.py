@@ -21,6 +21,8 @@ STALL_MS = 4.0
 """A computer that lets the loop wait so long has disturbed more than one device can show."""
 QUEUED_TICKS = 5.0
 """Frames of so many ticks at once have waited in a queue: the wire has none, a stalled computer has."""
+LONG_STALL_MS, LONG_QUEUED_TICKS = 20.0, 20.0
+"""From here on the drive, which goes on at its last speed meanwhile, is away from its commands by more than a lag."""
 BREAKS_MM_S = 500.0
 """No payload leaves the rope faster: what unloads it so fast is the rope or the spring."""
 LIFT_MM_S = 200.0
@@ -64,6 +66,8 @@ _RESTART = "Start the daemon anew once the cause is found: it writes all setting
 _F = Fault
 _TENSION, _UNSEEN = having(Trait.SHOWN_BY_TENSION), having(Trait.SHOWN_BY_WAY)
 _MOTION, _ABOUT_A_DEVICE = having(Trait.SHOWN_BY_MOTION), having(Trait.SHOWN_BY_DEVICE)
+_BY_TIME = _ABOUT_A_DEVICE | {_F.BUS_SILENT, _F.SYNC_LOST, _F.DRIVE_FAULT, _F.DRIVE_UNASKED}
+_BY_LONG_WAIT = _MOTION | {_F.INNOVATION, _F.STROKE_NOT_HELD}
 
 
 def _always(_: Residuals) -> bool:
@@ -74,11 +78,22 @@ def _always(_: Residuals) -> bool:
 
 
 def _stalled(x: Residuals) -> bool:
-    return x.stalled_ms >= STALL_MS or x.fault is _F.OVERRUN
+    return x.fault is _F.OVERRUN or _waited(x, x.stalled_ms, STALL_MS, LONG_STALL_MS)
 
 
 def _queued(x: Residuals) -> bool:
-    return x.queued >= QUEUED_TICKS
+    return _waited(x, x.queued, QUEUED_TICKS, LONG_QUEUED_TICKS)
+
+
+def _waited(x: Residuals, waited: float, short: float, long: float) -> bool:
+    """A wait explains the fault: frames or commands that are late, after a long one a drive that does not follow.
+
+    What the cell reads is no matter of time: of a rope that breaks while the computer is busy, the rope is to blame.
+    Nor is one device that stays silent, where the others are heard again.
+    """
+    if x.fault in _BY_TIME and len(x.silent) != 1:
+        return waited >= short
+    return waited >= long and x.fault in _BY_TIME | _BY_LONG_WAIT
 
 
 def _foreign(x: Residuals) -> bool:

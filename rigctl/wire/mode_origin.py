@@ -28,11 +28,11 @@ class ModeOrigin:
 
     def __init__(self) -> None:
         self.now: Origin | None = None
-        self._holder = self._held_by = ""
+        self._holder = self._held_by = self._mode = ""
 
     def clear(self) -> None:
         """Forget all, before the events are replayed."""
-        self.now, self._holder, self._held_by = None, "", ""
+        self.now, self._holder, self._held_by, self._mode = None, "", "", ""
 
     def note(self, event: dict[str, Any]) -> None:
         """Take one event."""
@@ -46,9 +46,11 @@ class ModeOrigin:
         elif kind == "HOLD_WITHOUT_LEASE":
             self._held_by = str(event.get("operator", ""))
         elif kind == "STARTED":
-            self.now = Origin(int(event.get("wall_ns") or 0), "the daemon started")
+            by = f"the loop started anew, out of {self._mode}" if self._mode else "the daemon started"
+            self.now, self._mode = Origin(int(event.get("wall_ns") or 0), by), ""
         elif kind == "MODE":
-            why = str(event.get("text", "")).partition(": ")[2]
+            modes, _, why = str(event.get("text", "")).partition(": ")
+            self._mode = modes.rpartition(" -> ")[2]
             commanded = event.get("value") in _BY_COMMAND
             holder = self._held_by if event.get("value") == Event.HOLD and self._held_by else self._holder
             by = f"{holder}: {why}" if commanded and holder else why

@@ -10,6 +10,7 @@ from rigctl.model.presentation import Enumeration
 from rigctl.model.signals import SHOWN
 from rigctl.model.states import DrivePower, PowerOff
 from rigctl.wire.alarms import without_steps
+from rigctl.wire.mode_origin import Origin
 from rigctl.wire.trust import doubts, explained
 
 MODE_STYLE = {
@@ -316,6 +317,11 @@ def counters(state: dict[str, Any]) -> str:
     """Counters of errors on the bus."""
     frames = f"frames lost {state['frames_lost']}, refused {state['frames_refused']}, unsent {state['send_failures']}"
     return f"{frames}, error frames {state['error_frames']}"
+
+
+def began(origin: Origin | None) -> str:
+    """Since when the mode is, and who or what began it; "" where no event says."""
+    return "" if origin is None else f"since {clock(origin.since_ns)[:-2]}, {origin.by}"
 
 
 def clock(wall_ns: int) -> str:

@@ -10,6 +10,8 @@ import pytest
 from rigctl.cli import status
 from rigctl.model.faults import Fault
 from rigctl.model.states import Mode
+from rigctl.wire.mode_origin import Origin
+from rigctl.wire.state_words import began
 from tests.builders.page_states import LOCK_OUT, Shown, catalogue, picture_of, state, tripped
 
 HEAD = ("rig", "mode", "load")
@@ -64,3 +66,15 @@ def test_values_that_are_trusted_fill_the_room_of_a_calm_rig(
     assert labels == ["rig", "mode", "load", "next step", "tension", "error", "stroke", "warning", "lease"]
     lost = printed(Shown("", state(Mode.COMPENSATING, lost=frozenset({"tension"}))), capsys)
     assert "tension" not in [line[:11].strip() for line in lost]
+
+
+@pytest.mark.parametrize("all_", [True, False])
+def test_who_began_the_mode_is_below_it(capsys: pytest.CaptureFixture[str], all_: bool) -> None:
+    origin = Origin(1_700_000_000_000_000_000, "kim: hold commanded")
+    status._show(
+        {"rig": "paper_rig", **state(Mode.HOLD)}, "tcp/127.0.0.1:7447", [], time.time_ns(), LOCK_OUT, all_=all_,
+        began=began(origin),
+    )  # fmt: skip
+    lines = capsys.readouterr().out.splitlines()
+    below = next(at for at, line in enumerate(lines) if line.startswith("mode")) + 1
+    assert any(", kim: hold commanded" in line for line in lines[below : below + 2]), lines

@@ -44,6 +44,16 @@ def test_a_hold_is_of_who_gave_it_and_not_of_the_leases_holder() -> None:
     origin.note(changed(3.0, Mode.HOLD, Mode.TENSIONING, Event.TENSION))
     assert origin.now.by == "kim: tension commanded"
     origin.note(event(Kind.STARTED, 9.0))
-    assert origin.now.by == "the daemon started"
+    assert origin.now.by == "the loop started anew, out of TENSIONING"
     origin.clear()
     assert origin.now is None
+
+
+def test_a_loop_that_starts_anew_says_out_of_which_mode() -> None:
+    origin = ModeOrigin()
+    origin.note(event(Kind.STARTED, 1.0))
+    assert origin.now is not None
+    assert origin.now.by == "the daemon started"
+    origin.note(changed(2.0, Mode.TENSIONING, Mode.COMPENSATING, Event.TENSIONED))
+    origin.note(event(Kind.STARTED, 9.0))
+    assert (origin.now.since_ns, origin.now.by) == (9 * S, "the loop started anew, out of COMPENSATING")
