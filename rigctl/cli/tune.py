@@ -61,7 +61,7 @@ def tune(
         bool, typer.Option("--table", help="With --from: gains for each tension and stroke that is identified.")
     ] = False,
     optimize: Annotated[
-        bool, typer.Option("--optimize", help="Find the weights of least error within the limits, about a minute.")
+        bool, typer.Option("--optimize", help="Find the weights of least error within the limits, some minutes.")
     ] = False,
     seed: Annotated[int, number_option(SEED, "--seed", metavar="N", help="With --optimize: of the search.")] = 1,
     evaluations: Annotated[
@@ -249,27 +249,36 @@ def _advice(tuned: Tuned, searched: Found | None) -> dict[str, Any]:
 
 def _optimised(tuned: Tuned, seed: int) -> dict[str, Any]:
     """The identified plant, the weights found by optimisation, and what the design replaces in the rig file."""
+    from rigctl.design.knobs import at_bound
+
     said: dict[str, Any] = {}
     if tuned.plant is not None:
         said["identified"] = tuned.plant.as_dict()
     if (best := tuned.best) is not None:
-        figures = {name: outcome.rms_n for name, outcome in best.score.outcomes.items()}
         said["optimised"] = {
             "seed": seed, "evaluations": best.evaluations, "cost_ratio": best.ratio,
-            "within": best.score.within, "rms_n": figures,
+            "within": best.score.within, "rms_n": dict(best.score.rms_n),
+            "at_bound": [knob.key for knob in at_bound(tuned.settings)],
         }  # fmt: skip
     if said:
         said["replaces"] = {key: {"file": was, "used": now} for key, (was, now) in tuned.replaces.items()}
     return said
 
 
+def _optimised_lines(optimised: dict[str, Any] | None) -> Iterator[str]:
+    if optimised is None:
+        return
+    if not optimised["within"]:
+        yield "--optimize: no weights within every limit were found; the design above is the best of them"
+    ratio = optimised["cost_ratio"]
+    against = "" if ratio is None else f", largest error x {ratio:.2f} of that with the file's weights"
+    yield f"--optimize: seed {optimised['seed']}, {optimised['evaluations']} designs{against}"
+    for key in optimised["at_bound"]:
+        yield f"--optimize: {key} is at the bound of its search"
+
+
 def _advice_lines(advice: dict[str, Any], file: pathlib.Path, *, written: bool) -> Iterator[str]:
-    if (optimised := advice.get("optimised")) is not None:
-        if not optimised["within"]:
-            yield "--optimize: no weights within every limit were found; the design above is the best of them"
-        ratio = optimised["cost_ratio"]
-        against = "" if ratio is None else f", errors x {ratio:.2f} (geometric mean) of those with the file's weights"
-        yield f"--optimize: seed {optimised['seed']}, {optimised['evaluations']} designs{against}"
+    yield from _optimised_lines(advice.get("optimised"))
     if advice.get("replaces") and not written:
         yield "to use this design: --gains FILE, and FILE as design.gains_file"
     if hints := advice.get("hints"):

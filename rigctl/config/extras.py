@@ -14,7 +14,7 @@ EXTRAS = {
     },
     "ops": {"jinja2", "pyarrow"},
     "sim": {"numba"},
-    "studies": {"simple_pid", "cvxpy", "clarabel"},
+    "studies": {"simple_pid", "cvxpy", "clarabel", "cma"},
     "bridge": {"prometheus_client"},
     "mdf": {"asammdf"},
     "test": {"pytest", "pandas"},

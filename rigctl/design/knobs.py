@@ -52,10 +52,21 @@ def searchable(settings: RigSettings) -> RigSettings:
     return changed(settings, quiet)
 
 
+def one_setting(settings: RigSettings) -> RigSettings:
+    """The settings without a quiet setting of the filter."""
+    return changed(settings, dict.fromkeys((knob.key for knob in _OF_QUIET), None))
+
+
 def knobs_for(settings: RigSettings) -> tuple[Knob, ...]:
     """The weights that act in these settings."""
     swings = _OF_SWING if settings.estimator.swing_hz is not None else ()
     return (*KNOBS, *swings, *(knob for knob in _OF_QUIET if value_of(settings, knob.key) is not None))
+
+
+def at_bound(settings: RigSettings) -> list[Knob]:
+    """The weights that are within a hundredth of an end of their range: a search there may have stopped short."""
+    turned_ = [(knob, float(value_of(settings, knob.key))) for knob in knobs_for(settings)]
+    return [knob for knob, value in turned_ if not 1.01 * knob.low < value < knob.high / 1.01]
 
 
 def value_of(settings: RigSettings, key: str) -> Any:

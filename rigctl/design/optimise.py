@@ -1,12 +1,16 @@
-"""Weights found by optimisation: least error over the study's scenarios within the limits of robustness and noise.
+"""Weights found by optimisation: least error over the groups of disturbances within the limits of robustness and noise.
 
-The structure of a law is fixed; what is searched are its knobs. The cost is the geometric mean of the errors (rms) in
-the scenarios of `rigctl.design.surrogate`: halving any one of them counts the same, so no weight has to be chosen by
-hand. The limits: Ms over the family at the plant's input and output, noise of the command at rest, and steps of the
-command at rest within the acceleration limit. A law that breaks one is worse than any that does not.
+The structure of a law is fixed; what is searched are its knobs. The cost is the largest over the groups of the error
+(rms) over its reference, which is what one law can reach there beside the others (`rigctl.design.linear_errors`): a
+mean over groups ends near the noise's floor in the one that weighs little, and gives that one away. The limits: Ms over
+the family at the plant's input and output, noise of the command at rest, and steps of the command at rest within the
+acceleration limit. A law that breaks one is worse than any that does not.
 
-Differential evolution (Storn, Price 1997) over the logarithms, then Nelder and Mead's simplex from the best; both are
-SciPy's. With few evaluations only the simplex, from the start. The same seed gives the same weights.
+Move, heave, shakes and rest are linear and judged by the closed loop's response; a jolt, and everything where the
+filter has two settings, in real ticks (`rigctl.design.surrogate`).
+
+CMA-ES (Hansen, Ostermeier, Evolutionary Computation 9 (2001), 159-195; the library `cma`) over the logarithms, several
+times: from the start, from drawn places, and closely about the best. The same seed gives the same weights.
 """
 
 from __future__ import annotations
@@ -20,12 +24,14 @@ import numpy as np
 
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
+from rigctl.control.law.estimator import Array, filter_model
 from rigctl.design import surrogate
-from rigctl.design.gains import DesignError
+from rigctl.design.gains import OPEN, DesignError
 from rigctl.design.knobs import Knob, knobs_for, turned, value_of
-from rigctl.design.margins import design_and_check
+from rigctl.design.linear_errors import LinearCases, Response, references_n
+from rigctl.design.margins import controllers, design_and_check
 from rigctl.design.plant_family import Family
-from rigctl.design.surrogate import CaseErrors, OurLaw, TickedLaw
+from rigctl.design.surrogate import OurLaw, TickedLaw
 from rigctl.design.verdict import Design
 
 SEED, EVALUATIONS = 1, 600
@@ -34,10 +40,12 @@ STEP_SIGMAS = 4.0  # steps of the command at rest below the acceleration limit, 
 BROKEN = 100.0  # cost of a law beyond a limit, above that of any other
 UNPROVEN = 1.0  # added to Ms
 DIGITS = 3  # of a weight, as it is written into a file
-_GLOBAL = 0.75  # share of the evaluations that differential evolution has ...
-_FEWEST = 50  # ... if there are so many for each knob
-_POPULATION = 6  # times the number of knobs
-_SIMPLEX = 0.25  # edge of the first simplex, of a logarithm
+MEAN_SHARE = 0.05
+"""Of the mean over the groups in the cost, so that what is not the largest does not drift."""
+_FEWEST = 50  # evaluations for each knob from which on other starts than the first are tried
+_WIDE, _CLOSE = 0.25, 0.03  # first standard deviation of a search, as a share of a knob's range
+_SHARES = (0.5, 0.25, 0.25)  # of the evaluations: from the start, from a drawn place, about the best
+_SAME = 1e-4  # of a cost: a search whose candidates differ by less has ended
 
 
 class Judged(Protocol):
@@ -53,6 +61,10 @@ class Judged(Protocol):
 
     def law(self) -> TickedLaw:
         """The law itself."""
+
+    @property
+    def response(self) -> Response | None:
+        """Of the law, where it has one; None where its filter has two settings."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +89,8 @@ class Score:
     cost: float
     ms: float
     command_noise_mm_s: float
-    outcomes: Mapping[str, CaseErrors]
+    rms_n: Mapping[str, float]
+    """True error of the tension, by group."""
 
     @property
     def within(self) -> bool:
@@ -127,9 +140,16 @@ class OurDesign:
         """See `Judged`."""
         return OurLaw(self.settings, self.design.gains)
 
+    @property
+    def response(self) -> Response | None:
+        """See `Judged`."""
+        if self.settings.estimator.adapts:
+            return None
+        return controllers(filter_model(self.settings), self.design.gains)[OPEN].response
 
-def score(settings: RigSettings, judged: Judged | None, limits: Limits) -> Score:
-    """Score a law on the plant in the settings; None is one that cannot be made."""
+
+def score(settings: RigSettings, judged: Judged | None, limits: Limits, cases: LinearCases) -> Score:
+    """Score a law on the plant in the settings, of which ``cases`` are; None is one that cannot be made."""
     if judged is None:
         return Score(3.0 * BROKEN, math.inf, math.inf, {})
     ms, noise = judged.ms, judged.command_noise_mm_s
@@ -138,12 +158,24 @@ def score(settings: RigSettings, judged: Judged | None, limits: Limits) -> Score
     beyond = max(0.0, ms - limits.ms) + max(0.0, noise / limits.command_noise_mm_s - 1.0)
     if beyond > 0.0:
         return Score(BROKEN + min(beyond, BROKEN), ms, noise, {})
-    outcomes = surrogate.play_all(settings, judged.law())
-    step = outcomes["rest"].step_mm_s / limits.step_mm_s
+    rms_n, step_mm_s = _errors(settings, judged, cases)
+    step = step_mm_s / limits.step_mm_s
     if not math.isfinite(step) or step > 1.0:
         return Score(BROKEN + min(step, BROKEN) if math.isfinite(step) else 2.0 * BROKEN, ms, noise, {})
-    errors = [outcome.rms_n for outcome in outcomes.values()]
-    return Score(float(np.mean(np.log(errors))), ms, noise, outcomes)
+    shares = np.log([rms_n[name] / reference for name, reference in references_n(settings).items()])
+    return Score(float((1.0 - MEAN_SHARE) * shares.max() + MEAN_SHARE * shares.mean()), ms, noise, rms_n)
+
+
+def _errors(settings: RigSettings, judged: Judged, cases: LinearCases) -> tuple[dict[str, float], float]:
+    """True error of each group, N, and the steps of the command at rest, mm/s."""
+    response, law = judged.response, judged.law()
+    plant, played = surrogate.nominal(settings), surrogate.scenarios(settings)
+    if response is None:
+        found = {case.name: surrogate.play(settings, law, plant, case) for case in played}
+        return {name: each.rms_n for name, each in found.items()}, found[surrogate.REST].step_mm_s
+    linear = cases.errors(response)
+    jolt = surrogate.play(settings, law, plant, next(case for case in played if case.name == surrogate.JOLT))
+    return {**linear.rms_n, surrogate.JOLT: jolt.rms_n}, linear.step_mm_s
 
 
 def minimum(
@@ -153,38 +185,47 @@ def minimum(
     *,
     seed: int = SEED,
     evaluations: int = EVALUATIONS,
+    wide: bool = True,
 ) -> tuple[tuple[float, ...], int]:
-    """The values of the knobs at the least cost found, rounded, and how often ``cost`` was called; deterministic."""
-    from scipy.optimize import differential_evolution, minimize  # 0.3 s
+    """The values of the knobs at the least cost found, rounded, and how often ``cost`` was called; deterministic.
 
-    called = 0
-    found: dict[tuple[float, ...], float] = {}
+    ``wide``: search the whole range, where there are evaluations enough; else only about the start.
+    """
+    import cma  # of the extra `studies`; 1 s
 
-    def at(logarithms: Sequence[float]) -> float:
-        nonlocal called
-        values = tuple(rounded(math.exp(x)) for x in logarithms)
+    low, high = (np.log([getattr(knob, end) for knob in knobs]) for end in ("low", "high"))
+    random, found = np.random.default_rng(seed), dict[tuple[float, ...], float]()
+
+    def at(place: Array) -> float:
+        """Of a place in the unit cube."""
+        values = tuple(rounded(math.exp(x)) for x in low + place * (high - low))
         if values not in found:
-            called += 1
             found[values] = cost(values)
         return found[values]
 
-    bounds = [(math.log(knob.low), math.log(knob.high)) for knob in knobs]
-    inside = None
-    if start is not None:
-        inside = [min(max(math.log(x), low), high) for x, (low, high) in zip(start, bounds, strict=True)]
-    if inside is None or evaluations >= _FEWEST * len(knobs):
-        generations = max(1, round(_GLOBAL * evaluations / (_POPULATION * len(knobs))) - 1)
-        differential_evolution(
-            at, bounds, x0=inside, seed=seed, popsize=_POPULATION, maxiter=generations, tol=0.0, polish=False,
-            init="sobol",
-        )  # fmt: skip
-    else:
-        at(inside)
-    best = [math.log(x) for x in min(found, key=found.__getitem__)]
-    simplex = np.array([best, *(np.array(best) + _SIMPLEX * axis for axis in np.eye(len(knobs)))])
-    left = max(len(knobs) + 1, evaluations - called)
-    minimize(at, best, method="Nelder-Mead", bounds=bounds, options={"maxfev": left, "initial_simplex": simplex})
-    return min(found, key=found.__getitem__), called
+    def best() -> tuple[float, ...]:
+        return min(found, key=found.__getitem__)
+
+    def place(values: Sequence[float]) -> Array:
+        inside: Array = np.clip((np.log(values) - low) / (high - low), 0.0, 1.0)
+        return inside
+
+    wide = start is None or (wide and evaluations >= _FEWEST * len(knobs))
+    shares = _SHARES if wide else (1.0,)
+    for number, share in enumerate(shares):
+        left = round(share * evaluations)
+        if number == len(_SHARES) - 1:
+            begun, width = place(best()), _CLOSE
+        elif start is not None and number == 0:
+            begun, width = place(start), _WIDE if wide else _CLOSE
+        else:
+            begun, width = random.uniform(0.2, 0.8, len(knobs)), _WIDE
+        at(begun)
+        options = {
+            "seed": seed + number, "bounds": [0.0, 1.0], "maxfevals": left, "tolfun": _SAME, "verbose": -9,
+        }  # fmt: skip
+        cma.fmin2(at, begun, width, options)
+    return best(), len(found)
 
 
 def weights(
@@ -195,24 +236,34 @@ def weights(
     seed: int = SEED,
     evaluations: int = EVALUATIONS,
     advance: Callable[[], None] | None = None,
+    wide: bool = True,
 ) -> tuple[RigSettings, Best]:
     """The settings with the weights of least cost for the plant in them.
 
-    ``knobs``: those that are turned, by default all that act. ``advance`` is called with each evaluation.
+    Args:
+        settings: with the weights to begin at.
+        family: over which Ms is taken.
+        knobs: those that are turned, by default all that act.
+        seed: of the search.
+        evaluations: designs tried.
+        advance: called with each of them.
+        wide: search the whole range, where there are designs enough; False: only about the start.
     """
     knobs = knobs_for(settings) if knobs is None else knobs
-    limits = Limits.of(settings)
+    limits, cases = Limits.of(settings), LinearCases(settings)
     inner = Limits(limits.ms - MS_SPARE, limits.command_noise_mm_s * (1.0 - NOISE_SPARE), limits.step_mm_s)
 
     def scored(values: Sequence[float]) -> Score:
         if advance is not None:
             advance()
         there = turned(settings, knobs, values)
-        return score(settings, our_design(there, family, knobs), inner)
+        return score(settings, our_design(there, family, knobs), inner, cases)
 
     start = [float(value_of(settings, knob.key)) for knob in knobs]
-    values, called = minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=evaluations)
-    before = score(settings, our_design(settings, family), limits)
+    values, called = minimum(
+        lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=evaluations, wide=wide
+    )
+    before = score(settings, our_design(settings, family), limits, cases)
     return turned(settings, knobs, values), Best(values, scored(values), before, called)
 
 

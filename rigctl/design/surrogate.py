@@ -11,7 +11,7 @@ Every scenario starts from a settled loop at the target. Errors are of the true 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from operator import mul
@@ -22,19 +22,15 @@ import numpy as np
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.estimator import Array, TensionFilter, filter_model
 from rigctl.control.law.tension import Estimate, Gains, TensionLaw
-from rigctl.design.plant_family import KG_PER_N_S2_MM, MECHANISM_DAMPING, Member, sampled
+from rigctl.design.linear_errors import MOVE, SHAKE_MM, recorded_move, unknown_share
+from rigctl.design.performance import VERTICAL_HZ, VERTICAL_MM
+from rigctl.design.plant_family import Member, sampled
 
 SETTLE_S = 0.15  # before a scenario, for the noise to go round the loop
-SWING_MM_S, SWING_HZ = 0.08, 0.58
-"""Stretch speed of the rope in the paper's move, until its rail breaks loose and swinging from then on: L theta theta'
-at the break, and the arm against the rope."""
-UNKNOWN_SHARE = 0.4
-"""Of that swing, where the inclination leads the stretch: what was left of the error beside the cell's noise."""
-HEAVE_MM, HEAVE_HZ = 10.0, 0.1
-MOVE_BREAK_S = 0.5  # time before the break
-SHAKE_MM = 0.05
+REST, JOLT = "rest", "jolt"
+MOVE_BEGIN_S, MOVE_S, MOVE_FROM_S = 2.5, 6.0, 1.5
+"""Of the recorded move, in ticks: from where, how much, and what of it counts."""
 JOLT_MM, JOLT_S = 1.0, 0.02
-LIGHTER_KG, STANDS_ON_N_MM, GRAVITY = 1.0, 60.0, 9.80665
 NOISE_SEED = 1
 
 
@@ -92,13 +88,15 @@ def _rest(t: Array) -> Array:
     return np.zeros_like(t)
 
 
-def _move(speed_mm_s: float) -> Callable[[Array], Array]:
-    return lambda t: speed_mm_s * np.cos(2.0 * math.pi * SWING_HZ * np.maximum(t - MOVE_BREAK_S, 0.0))
+def _move(share: float) -> Callable[[Array], Array]:
+    every_s, _, speeds = recorded_move()
+    at_s = (np.arange(len(speeds)) + 0.5) * every_s
+    return lambda t: share * np.interp(t + MOVE_BEGIN_S, at_s, speeds)
 
 
 def _vertical(t: Array) -> Array:
-    w = 2.0 * math.pi * HEAVE_HZ
-    speed: Array = HEAVE_MM * w * np.sin(w * t)
+    w = 2.0 * math.pi * VERTICAL_HZ
+    speed: Array = VERTICAL_MM * w * np.sin(w * t)
     return speed
 
 
@@ -113,26 +111,15 @@ def _jolt(t: Array) -> Array:
     return speed
 
 
-def _mass(payload_kg: float) -> Callable[[Array], Array]:
-    """The payload springs up on its mechanism; the rope's own stiffness beside that is left out."""
-    mass = payload_kg / KG_PER_N_S2_MM
-    w, ratio = math.sqrt(STANDS_ON_N_MM / mass), MECHANISM_DAMPING
-    damped = w * math.sqrt(1.0 - ratio * ratio)
-    peak = LIGHTER_KG * GRAVITY / (mass * damped)
-    return lambda t: -peak * np.exp(-ratio * w * t) * np.sin(damped * t)
-
-
 def scenarios(settings: RigSettings) -> tuple[DisturbanceCase, ...]:
-    """Every scenario of the cost; of periodic ones whole periods, of the slow one where its acceleration is large."""
-    swing_mm_s = SWING_MM_S * (1.0 if settings.estimator.inclination_swing_hz is None else UNKNOWN_SHARE)
+    """Every scenario in ticks; of periodic ones whole periods, of the slow one where its acceleration is large."""
     return (
-        DisturbanceCase("rest", 1.0, 0.0, _rest),
-        DisturbanceCase("move", MOVE_BREAK_S + 1.0 / SWING_HZ, MOVE_BREAK_S, _move(swing_mm_s)),
+        DisturbanceCase(REST, 1.0, 0.0, _rest),
+        DisturbanceCase(MOVE, MOVE_S, MOVE_FROM_S, _move(unknown_share(settings))),
         DisturbanceCase("vertical", 1.3, 0.3, _vertical),
         DisturbanceCase("shake_3hz", 1.0, 1.0 / 3.0, _shake(3.0)),
         DisturbanceCase("shake_8hz", 0.625, 0.25, _shake(8.0)),
-        DisturbanceCase("jolt", 0.6, 0.0, _jolt),
-        DisturbanceCase("mass", 0.6, 0.0, _mass(settings.plant.payload_kg)),
+        DisturbanceCase(JOLT, 0.6, 0.0, _jolt),
     )
 
 
@@ -159,12 +146,6 @@ def play(settings: RigSettings, law: TickedLaw, plant: Member, scenario: Disturb
         float(np.std(sent)),
         float(np.std(np.diff(sent))),
     )
-
-
-def play_all(settings: RigSettings, law: TickedLaw) -> Mapping[str, CaseErrors]:
-    """Every scenario on the plant in the settings."""
-    plant = nominal(settings)
-    return {scenario.name: play(settings, law, plant, scenario) for scenario in scenarios(settings)}
 
 
 def nominal(settings: RigSettings) -> Member:

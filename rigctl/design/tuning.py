@@ -12,7 +12,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.design import gain_file, identified, optimise, plant_family
 from rigctl.design.gain_file import SpringGains
 from rigctl.design.identified import Identified, NotIdentifiedError
-from rigctl.design.knobs import knobs_for, searchable, value_of
+from rigctl.design.knobs import knobs_for, one_setting, searchable, value_of
 from rigctl.design.margins import design_and_check
 from rigctl.design.optimise import Best
 from rigctl.design.plant_family import Family
@@ -20,6 +20,8 @@ from rigctl.design.transitions import EntryLoop, dwell_time_s
 from rigctl.design.verdict import Design
 from rigctl.ipc.ledger import Entry
 
+ONE_SETTING = 0.7
+"""Of the designs tried: those with one setting of the filter."""
 SHARE_AT_POINT = 12
 """Designs tried for each weight at a further operating point, where the search begins at the base's optimum."""
 
@@ -86,9 +88,7 @@ def tune(
     family = plant_family.assumed(used) if plant is None else identified.family(used, plant)
     best = None
     if search is not None:
-        used, best = optimise.weights(
-            searchable(used), family, seed=search.seed, evaluations=search.evaluations, advance=search.advance
-        )
+        used, best = _optimised(used, family, search)
     found = Tuned(settings, used, family, design_and_check(used, family), plant, best)
     if not table:
         return found
@@ -97,6 +97,24 @@ def tune(
     if points and all(each.design.accepted for each in (found, *points)):
         dwell_s = dwell_time_s([EntryLoop(each.settings, each.design.gains, each.family) for each in (found, *points)])
     return replace(found, points=points, dwell_s=dwell_s)
+
+
+def _optimised(settings: RigSettings, family: Family, search: Optimisation) -> tuple[RigSettings, Best]:
+    """The weights of least cost with one setting of the filter, or with a quiet one beside it where that costs less.
+
+    The second search begins at the optimum of the first.
+    """
+    count = round(ONE_SETTING * search.evaluations)
+    single = optimise.weights(
+        one_setting(settings), family, seed=search.seed, evaluations=count, advance=search.advance
+    )  # fmt: skip
+    pair = optimise.weights(
+        searchable(single[0]), family, seed=search.seed, evaluations=search.evaluations - count, advance=search.advance,
+        wide=False,
+    )  # fmt: skip
+    used, best = min(single, pair, key=lambda found: found[1].score.cost)
+    called = single[1].evaluations + pair[1].evaluations
+    return used, replace(best, start=single[1].start, evaluations=called)
 
 
 def _at_point(base: Tuned, plant: Identified, search: Optimisation | None) -> Tuned:

@@ -29,7 +29,7 @@ from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.design import identified
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified
-from rigctl.design.knobs import knobs_for, searchable, turned
+from rigctl.design.knobs import knobs_for, one_setting, turned
 from rigctl.design.margins import design_and_check
 from rigctl.design.plant_family import Family
 from rigctl.design.verdict import Design
@@ -60,7 +60,7 @@ class Known(NamedTuple):
     def of(cls, rig: RigSettings, found: Identified | None = None) -> Known:
         """``found``: what the identification gives; None for the truth with its uncertainty."""
         found = found or identification.exact(rig)
-        believed = searchable(identified.believing(rig, found))
+        believed = one_setting(identified.believing(rig, found))
         return cls(believed, found, identified.family(believed, found))
 
     @property

@@ -21,6 +21,7 @@ from hil.studies.compare.tuned_laws import FamilyResponses, TunedLaw
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design import optimise
+from rigctl.design.linear_errors import LinearCases
 
 MS_LIMITS = (1.3, 1.4, 1.6, 1.8, 2.2)
 WIDEST_MS = 2.4  # drawn; what lies beyond is named at the edge
@@ -33,8 +34,8 @@ class FrontPoint(NamedTuple):
     law: str
     limit: float | None
     ms: float
-    error_n: float | None
-    """Geometric mean of the rms errors in the surrogate's scenarios; None where no parameters keep the limits."""
+    share: float | None
+    """Largest over the groups of error over what one law reaches; None where no parameters keep the limits."""
     command_noise_mm_s: float
 
 
@@ -49,7 +50,7 @@ def points(rig: RigSettings, laws: Sequence[str], rows: RowsFile, say: Say) -> l
             base = base or mine
             error = math.exp(mine.cost) if math.isfinite(mine.cost) else None
             found.append(FrontPoint(law, limit, mine.ms, error, mine.command_noise_mm_s))
-            say(f"{law}, Ms at most {limit:g}: " + ("none" if error is None else f"error {error:.4f} N"))
+            say(f"{law}, Ms at most {limit:g}: " + ("none" if error is None else f"error x {error:.3f}"))
         found.append(as_it_is(Known.of(rig), law))
     return found
 
@@ -64,7 +65,7 @@ def as_it_is(known: Known, law: str) -> FrontPoint:
         make = LAWS[law].make
         assert make is not None  # rivals have one
         judged = tuned_laws.judged(settings, lambda: make(settings), FamilyResponses(settings, known.family))
-    score = optimise.score(settings, judged, wide)
+    score = optimise.score(settings, judged, wide, LinearCases(settings))
     error = math.exp(score.cost) if score.within else None
     return FrontPoint(law, None, score.ms, error, score.command_noise_mm_s)
 
@@ -78,16 +79,16 @@ def draw(rig: RigSettings, found: Sequence[FrontPoint], file: pathlib.Path) -> N
     figure, ((axis,),) = plotting.panels(1, 1, (9.0, 5.6))
     for law in dict.fromkeys(point.law for point in found):
         title, colour = LAWS[law].title, COLORS[law]
-        line = sorted((p.ms, p.error_n) for p in found if p.law == law and p.limit is not None and p.error_n)
+        line = sorted((p.ms, p.share) for p in found if p.law == law and p.limit is not None and p.share)
         axis.plot(*zip(*line, strict=True), "o-", color=colour, markersize=3.5, label=title,
                   linewidth=2.2 if law == OURS else 1.2)  # fmt: skip
         for p in found:
-            if p.law == law and p.limit is None and p.error_n and math.isfinite(p.ms):
+            if p.law == law and p.limit is None and p.share and math.isfinite(p.ms):
                 beyond, at = p.ms > WIDEST_MS, min(p.ms, WIDEST_MS)
-                axis.plot([at], [p.error_n], ">" if beyond else "x", color=colour, markersize=8, markeredgewidth=1.8)
+                axis.plot([at], [p.share], ">" if beyond else "x", color=colour, markersize=8, markeredgewidth=1.8)
                 words = f"{title}, noise {p.command_noise_mm_s:.2f}" + (f", Ms {p.ms:.1f}" if beyond else "")
                 below = p.ms > rig.design.ms_max  # beside the limit two of them are close
-                axis.annotate(words, (at, p.error_n), textcoords="offset points", fontsize=7.5, color=colour,
+                axis.annotate(words, (at, p.share), textcoords="offset points", fontsize=7.5, color=colour,
                               xytext=(-6 if beyond else 6, -10 if below else 5),
                               ha="right" if beyond else "left")  # fmt: skip
     axis.axvline(rig.design.ms_max, color="#d00000", linewidth=1.0, label=f"limit, Ms {rig.design.ms_max:g}")
@@ -101,7 +102,7 @@ def draw(rig: RigSettings, found: Sequence[FrontPoint], file: pathlib.Path) -> N
         f"Lines: least error within Ms and {noise_max:g} mm/s of command noise, plant as identified", fontsize=10
     )
     plotting.label(
-        axis, x="Ms over the family of the identified plant", y="error, N rms, geometric mean of the scenarios",
+        axis, x="Ms over the family of the identified plant", y="largest error over what one law reaches",
         which="both",
     )  # fmt: skip
     axis.legend(fontsize=8, ncols=2)

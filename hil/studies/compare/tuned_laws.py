@@ -22,6 +22,7 @@ from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Estimate, Gains
 from rigctl.design import optimise
 from rigctl.design.knobs import Knob, knobs_for, turned, value_of
+from rigctl.design.linear_errors import LinearCases, Response
 from rigctl.design.margins import frequency_grid
 from rigctl.design.optimise import Best, Limits
 from rigctl.design.plant_family import ComplexArray, Family, Member
@@ -116,6 +117,11 @@ class RivalDesign:
         """See `Judged`."""
         return RivalTicks(self.settings, self.make)
 
+    @property
+    def response(self) -> Response:
+        """See `Judged`."""
+        return lambda z: law_robustness.response(self.make(), z, ANSWER_TICKS)
+
 
 def judged(settings: RigSettings, make: Callable[[], Feedback], plants: FamilyResponses) -> RivalDesign | None:
     """Ms over the family and noise of a rival; None if it has no linear response."""
@@ -205,8 +211,11 @@ def _searched(
         command_noise_mm_s=limits.command_noise_mm_s * (1.0 - optimise.NOISE_SPARE),
     )
 
+    cases = LinearCases(settings)
+
     def scored(values: Sequence[float]) -> optimise.Score:
-        return optimise.score(settings, judged(settings, lambda: tunable.make(settings, values), plants), inner)
+        made = judged(settings, lambda: tunable.make(settings, values), plants)
+        return optimise.score(settings, made, inner, cases)
 
     values, called = optimise.minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=count)
     return _found(law, values, Best(values, scored(values), None, called))

@@ -35,7 +35,7 @@ def show_equal_limits(found: EqualLimits, console: Console) -> None:
         ("Largest error, %", found.runs, lambda place: outcomes[place].eta_max_pct),
         ("Time until the error stays within 0.1 %, s", events, lambda place: outcomes[place].settle_s),
         ("Residual acceleration, rms, micro-g", found.runs, lambda place: outcomes[place].micro_g),
-        ("What the searches minimise: mean error in seven scenarios on the linear plant, N", found.runs,
+        ("What the searches minimise: the largest of the groups over what one law reaches there", found.runs,
          lambda place: math.exp(tunings[place].cost) if math.isfinite(tunings[place].cost) else None),
     )  # fmt: skip
     for title, runs, figure in tables:

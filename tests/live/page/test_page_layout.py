@@ -11,11 +11,13 @@ import pytest
 from playwright.sync_api import Browser
 
 from rigctl.model.checks import Check
+from rigctl.model.events import Kind
 from rigctl.model.faults import Fault
+from rigctl.model.reactions import Action
 from rigctl.model.states import HeldBy, Mode
 from rigctl.page.picture import Picture
 from tests.builders.exclusions import contradictions
-from tests.builders.page_states import Shown, charted, page_of, picture_of, show, state, tripped
+from tests.builders.page_states import Shown, charted, event, page_of, picture_of, show, state, tripped
 from tests.builders.pages import PageView, look
 
 NOTEBOOK = (1366, 768)
@@ -42,10 +44,19 @@ LONG = Shown(
 )
 MISSED = Shown("not following", state(Mode.FAULT, fault=Fault.DRIVE_NOT_FOLLOWING), tripped(Fault.DRIVE_NOT_FOLLOWING))
 FALLS = Shown("falls", state(Mode.FAULT, fault=Fault.BRAKE_SLIPS, held_by=HeldBy.BRAKE), tripped(Fault.BRAKE_SLIPS))
+CHATTERS = Shown(
+    "chatters",
+    state(Mode.FAULT, fault=Fault.E_STOP),
+    [
+        *(event(Kind.LIMIT, -60.0 + n, Fault.LIMIT, Action.LOG, 4142.0, 2000.0, f"{signal} above")
+          for n in range(42) for signal in ("lateness_us", "skipped_ticks", "cell_age_ms")),
+        *tripped(Fault.E_STOP), *tripped(Fault.DRIVE_EMERGENCY)[1:2], *tripped(Fault.DRIVE_FAULT)[1:2],
+    ],
+)  # fmt: skip
 FAULTS = (Fault.DRIVE_FAULT, Fault.E_STOP, Fault.CELL_STALE, Fault.TENSION_HIGH, Fault.LOAD_UNSEEN, Fault.STROKE_JUMPED)
 BARRED = {"failing": {check.name: check.words for check in Check}, "waived": {}}
 STATES = (
-    CALM, SILENT, LONG, MISSED, FALLS,
+    CALM, SILENT, LONG, MISSED, FALLS, CHATTERS,
     *(Shown(mode.name, state(mode)) for mode in Mode if mode not in (Mode.FAULT, Mode.COMPENSATING)),
     *(Shown(fault.name, state(Mode.FAULT, fault=fault), tripped(fault)) for fault in FAULTS),
     Shown("barred", state(Mode.DISARMED, checks=1, preflight=BARRED)),

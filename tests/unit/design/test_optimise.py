@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
 import pytest
 
 from rigctl.config.settings import RigSettings
-from rigctl.design import optimise, plant_family, surrogate
-from rigctl.design.closed_loop import closed_loop, controller
-from rigctl.design.gains import design, filter_gain
+from rigctl.design import optimise, plant_family
+from rigctl.design.gains import design
 from rigctl.design.knobs import KNOBS, Knob, turned, value_of
-from rigctl.design.optimise import BROKEN, Limits, OurDesign, Score, minimum, our_design, score
-from rigctl.design.surrogate import OurLaw, TickedLaw, nominal, play, play_all, scenarios
+from rigctl.design.linear_errors import LinearCases, Response
+from rigctl.design.optimise import BROKEN, Limits, OurDesign, minimum, our_design, score
+from rigctl.design.surrogate import CaseErrors, OurLaw, TickedLaw, nominal, play, scenarios
 
 Rig = Callable[..., RigSettings]
 TWO = (Knob("a", 0.01, 100.0), Knob("b", 0.01, 100.0))
@@ -31,7 +30,7 @@ def bowl(values: Sequence[float]) -> float:
 def test_few_evaluations_stay_near_the_start() -> None:
     (a, b), called = minimum(bowl, TWO, (2.5, 0.3), evaluations=40)
     assert (a, b) == pytest.approx((3.0, 0.2), rel=0.1)
-    assert called <= 41
+    assert called <= 40 + 6  # in whole generations
 
 
 @pytest.mark.parametrize("start", [None, (1.0, 1.0), (1000.0, 1.0)])
@@ -68,6 +67,8 @@ def test_every_knob_is_a_setting_that_the_design_follows(rig: Rig) -> None:
 class Fake:
     """A judged law with these figures; it is never run beyond a limit."""
 
+    response: Response | None = None
+
     def __init__(self, ms: float, noise: float, made: TickedLaw | None = None) -> None:
         self.ms, self.command_noise_mm_s, self._made = ms, noise, made
 
@@ -78,15 +79,15 @@ class Fake:
 
 def test_a_law_beyond_a_limit_is_worse_than_any_within_and_the_worse_the_farther(rig: Rig) -> None:
     settings = rig()
-    limits = Limits.of(settings)
+    limits, cases = Limits.of(settings), LinearCases(settings)
     assert (limits.ms, limits.command_noise_mm_s) == (1.6, 0.5)
-    good = score(settings, Fake(1.59, 0.49, OurLaw(settings, design(settings))), limits)
+    good = score(settings, Fake(1.59, 0.49, OurLaw(settings, design(settings))), limits, cases)
     assert good.within
-    beyond = [score(settings, Fake(*figures), limits).cost for figures in ((1.61, 0.4), (1.9, 0.4), (1.9, 0.9))]
+    beyond = [score(settings, Fake(*figures), limits, cases).cost for figures in ((1.61, 0.4), (1.9, 0.4), (1.9, 0.9))]
     assert BROKEN < beyond[0] < beyond[1] < beyond[2] < 2.0 * BROKEN
-    assert score(settings, Fake(math.inf, 0.4), limits).cost == 2.0 * BROKEN
-    assert score(settings, None, limits).cost == 3.0 * BROKEN
-    restless = score(settings, Fake(1.5, 0.4, OurLaw(settings, design(settings))), Limits(1.6, 0.5, 0.01))
+    assert score(settings, Fake(math.inf, 0.4), limits, cases).cost == 2.0 * BROKEN
+    assert score(settings, None, limits, cases).cost == 3.0 * BROKEN
+    restless = score(settings, Fake(1.5, 0.4, OurLaw(settings, design(settings))), Limits(1.6, 0.5, 0.01), cases)
     assert not restless.within
 
 
@@ -109,9 +110,7 @@ def test_the_search_improves_on_the_files_weights_within_every_limit(rig: Rig) -
     assert isinstance(judged, OurDesign)
     assert judged.ms <= 1.6
     assert judged.command_noise_mm_s <= 0.5
-    assert score(found, judged, Limits.of(found)) == Score(
-        best.score.cost, best.score.ms, best.score.command_noise_mm_s, best.score.outcomes
-    )
+    assert score(found, judged, Limits.of(found), LinearCases(found)) == best.score
 
 
 def test_weights_out_of_their_bounds_are_no_design(rig: Rig) -> None:
@@ -121,21 +120,9 @@ def test_weights_out_of_their_bounds_are_no_design(rig: Rig) -> None:
     assert our_design(rig(), family, KNOBS) is not None
 
 
-def test_a_scenario_agrees_with_the_linear_loop(rig: Rig) -> None:
-    """Shake at 3 Hz without noise: amplitude of the true tension by the closed loop's response."""
-    settings = rig(tension_cell={"noise_n": 1e-6}, estimator={"cell_noise_scale": 3e4})  # noise assumed, none there
-    model = rig()
-    from rigctl.control.law.estimator import filter_model
-
-    believed = filter_model(model)
-    law = controller(believed, design(model), filter_gain(believed))
-    loop = closed_loop(nominal(model), law)
-    z = np.exp(2j * np.pi * 3.0 * believed.period_s)
-    state = np.linalg.solve(z * np.eye(len(loop.a)) - loop.a, loop.b[:, 2])
-    speed = surrogate.SHAKE_MM * 2.0 * math.pi * 3.0
-    shake = next(scenario for scenario in scenarios(settings) if scenario.name == "shake_3hz")
-    found = play(settings, OurLaw(settings, design(settings)), nominal(settings), shake)
-    assert found.rms_n * math.sqrt(2.0) == pytest.approx(abs(state[0]) * speed, rel=0.03)
+def _played(settings: RigSettings, law: TickedLaw, name: str) -> CaseErrors:
+    case = next(case for case in scenarios(settings) if case.name == name)
+    return play(settings, law, nominal(settings), case)
 
 
 def test_at_rest_the_tension_moves_by_the_noise_that_the_design_says(rig: Rig) -> None:
@@ -143,15 +130,15 @@ def test_at_rest_the_tension_moves_by_the_noise_that_the_design_says(rig: Rig) -
     judged = our_design(settings, plant_family.Family("one", (nominal(settings),)))
     assert judged is not None
     assert judged.design.performance is not None
-    rest = play_all(settings, judged.law())["rest"]
+    rest = _played(settings, judged.law(), "rest")
     assert rest.rms_n == pytest.approx(judged.design.performance.tension_noise_n, rel=0.2)  # of one second
     assert rest.command_mm_s == pytest.approx(judged.command_noise_mm_s, rel=0.1)
-    assert play_all(settings, judged.law())["rest"] == rest
+    assert _played(settings, judged.law(), "rest") == rest
 
 
 def test_a_jolt_takes_the_law_to_its_limits(rig: Rig) -> None:
     """1 mm at 10 mm/s lasts a tenth of a second: an error that no linear loop would leave."""
     settings = rig()
     fast = rig(tension={"speed_max_mm_s": 60.0, "acceleration_max_mm_s2": 30000.0})
-    slow_n, fast_n = (play_all(s, OurLaw(s, design(s)))["jolt"].rms_n for s in (settings, fast))
+    slow_n, fast_n = (_played(s, OurLaw(s, design(s)), "jolt").rms_n for s in (settings, fast))
     assert slow_n > 1.2 * fast_n

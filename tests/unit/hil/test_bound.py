@@ -137,7 +137,7 @@ def rig() -> tuple[Member, dict[str, Array], Task]:
 def swing(seconds: float = 4.0) -> Array:
     """Speed of a stretch like that of the paper's move."""
     t = np.arange(round(seconds * RATE_HZ)) / RATE_HZ
-    return np.asarray(0.08 * np.cos(2.0 * math.pi * surrogate.SWING_HZ * np.maximum(t - 1.0, 0.0)))
+    return np.asarray(0.08 * np.cos(2.0 * math.pi * 0.58 * np.maximum(t - 1.0, 0.0)))
 
 
 def test_a_law_makes_of_a_disturbance_what_the_closed_loop_makes_of_it() -> None:

@@ -252,7 +252,7 @@ def test_a_tuning_on_record_is_not_searched_again(tmp_path: pathlib.Path, monkey
 def test_the_front_shows_a_law_as_it_is_beyond_any_limit() -> None:
     point = front.as_it_is(Known.of(RIG), "pi")
     assert point.ms > 1.6
-    assert point.error_n is not None
+    assert point.share is not None
     assert point.limit is None
     assert set(COMPARED) == {*TUNABLE, OURS}
     assert len(knobs_of(OURS, RIG)) >= 5

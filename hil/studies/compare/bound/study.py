@@ -28,17 +28,18 @@ from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.estimator import filter_model
 from rigctl.design import surrogate
+from rigctl.design.linear_errors import TONES as SINES
 from rigctl.design.margins import controllers
 from rigctl.design.optimise import Limits
 from rigctl.design.plant_family import Array, Family, Member
-from rigctl.design.surrogate import HEAVE_HZ, HEAVE_MM, SHAKE_MM, DisturbanceCase, OurLaw
+from rigctl.design.surrogate import DisturbanceCase, OurLaw
 
 MOVE_MEMORY_S, SHORT_MEMORY_S = 1.0, 0.1
 """Longer ones lower the bound of a move by 1 %. A law that remembers a sine for periods finds its phase and cancels it,
 so that its bound says nothing of one without a resonator."""
 OURS_MEMORY_S = 4.0
 JOLT_S = 4.0
-TONES = {"vertical": (HEAVE_MM, HEAVE_HZ), "shake_3hz": (SHAKE_MM, 3.0), "shake_8hz": (SHAKE_MM, 8.0)}
+TONES = {name: (mm, hz) for name, (hz, mm) in SINES.items()}
 JOLT, JOINT, MOVE = "jolt", "joint", "paper_k"
 TOLERANCE = 1e-3
 """Of the bound, below which ours is not: knots and solver."""
