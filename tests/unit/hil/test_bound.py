@@ -23,6 +23,7 @@ from hil.studies.compare.bound.linear_law import (
     basis,
     law_of,
 )
+from hil.studies.compare.bound.nominal import TONES
 from hil.studies.compare.bound.program import Task
 from hil.studies.compare.bound.study import BoundRow, Joint, Ours
 from hil.studies.compare.equal_limits import Known
@@ -181,7 +182,7 @@ def test_sines_have_the_bounds_of_an_outside_calculation() -> None:
     """Another author's program, on this plant with 100 ms of memory: heave 0.0033 %, 3 Hz 0.0040 %, and both with 8 Hz
     by one law at 0.94 of 0.0040, 0.0247 and 0.0569 %."""
     here = study.NominalPlant(Known.of(config.load(PAPER)), (law_of_the_file(), law_of_the_file()))
-    tones = [Tone.of(here.plant, *tone, 1.0 / here.rate_hz) for tone in study.TONES.values()]
+    tones = [here.tone(name) for name in TONES]
     found = [program.least(here.short, tone).value / 3.0 for tone in tones[:2]]
     assert found == pytest.approx([0.0033, 0.0040], abs=0.00005)
     share = program.least_share(here.short, tones, [3.0 * pct for pct in (0.0040, 0.0247, 0.0569)]).value

@@ -33,6 +33,20 @@ JOLT_TICKS = 500
 
 
 @dataclass(frozen=True)
+class FamilyGap:
+    """How far the plants of a family are from the nominal one.
+
+    With Delta_i the difference of a member's answer (N per mm/s) from the nominal one, and the same controller,
+    ``S_i = S / (1 - Delta_i x)``, so that ``|S| + ms |Delta_i x| <= ms`` is sufficient for ``|S_i| <= ms``. It is
+    convex in x, and of all members the largest of Delta_i counts.
+    """
+
+    hz: Array
+    largest: Array
+    """Modulus of Delta_i at each frequency: of the members the largest, up to the frequencies beside it."""
+
+
+@dataclass(frozen=True)
 class Task:
     """One plant, its cell's noise in N rms, the limits that a law keeps, and its memory in ticks."""
 
@@ -41,6 +55,8 @@ class Task:
     limits: Limits
     memory: int
     rate_hz: float
+    family: FamilyGap | None = None
+    """None: the limit of S is kept on the one plant."""
 
     def grid(self, points: int = POINTS) -> Array:
         """Frequencies in Hz, to Nyquist."""
@@ -189,21 +205,32 @@ def _solved(
     value: Callable[[float], float],
 ) -> Law:
     """Solve with the limits of every task; ``value`` gives the law's value by that of the cost."""
-    z = np.exp(2j * np.pi * task.grid() / task.rate_hz)
-    b = (at(task.answer.sensed, z) * at(laws, z)).T
     command = np.diff(laws, axis=0, prepend=0.0, append=0.0)
     steps = np.diff(command, axis=0, prepend=0.0, append=0.0)
     limits, cell = task.limits, c[: laws.shape[1]]
     rows = [
         *rows,
         task.answer.gain * (laws.sum(axis=0) @ cell) == -1.0,
-        cvxpy.norm(cvxpy.vstack([1.0 + b.real @ cell, b.imag @ cell]), axis=0) <= limits.ms,
+        _sensitivity(task, laws, cell) <= limits.ms,
         task.noise_n * cvxpy.norm(triangular(command) @ cell) <= limits.command_noise_mm_s,
         task.noise_n * cvxpy.norm(triangular(steps) @ cell) <= limits.step_mm_s,
     ]
     reached = _value(cvxpy.Problem(cvxpy.Minimize(cost), rows))
     x = laws @ np.asarray(c.value)[: laws.shape[1]]
     return Law(x, value(reached), peak(task, x), command_noise(task, x)[0])
+
+
+def _sensitivity(task: Task, laws: Array, cell: cvxpy.Expression) -> cvxpy.Expression:
+    """\\|S\\| at each frequency; with a family what `FamilyGap` adds to it."""
+    hz = task.grid() if task.family is None else task.family.hz
+    z = np.exp(2j * np.pi * hz / task.rate_hz)
+    x = at(laws, z)
+    b = (at(task.answer.sensed, z) * x).T
+    own = cvxpy.norm(cvxpy.vstack([1.0 + b.real @ cell, b.imag @ cell]), axis=0)
+    if task.family is None:
+        return own
+    gap = (task.limits.ms * task.family.largest * x).T
+    return own + cvxpy.norm(cvxpy.vstack([gap.real @ cell, gap.imag @ cell]), axis=0)
 
 
 def _value(problem: cvxpy.Problem) -> float:

@@ -18,8 +18,9 @@ from scipy.signal import lfilter
 from hil.runs.rows_file import RowsFile
 from hil.scenario.play import play
 from hil.studies.compare.bound import program
-from hil.studies.compare.bound.linear_law import Disturbance, Inclination, StrokeAnswer, Tone, law_of
-from hil.studies.compare.bound.program import SIGMAS, Case, Task
+from hil.studies.compare.bound.linear_law import Disturbance, Inclination, Tone, law_of
+from hil.studies.compare.bound.nominal import JOLT, MOVE_MEMORY_S, TONES, Nominal
+from hil.studies.compare.bound.program import SIGMAS, Case
 from hil.studies.compare.compared_runs import STEADY_S, ComparedRun
 from hil.studies.compare.comparison import WAIVER
 from hil.studies.compare.equal_limits import Known, LoopLaw, loop_law, played, tuning
@@ -28,19 +29,13 @@ from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.estimator import filter_model
 from rigctl.design import surrogate
-from rigctl.design.linear_errors import TONES as SINES
 from rigctl.design.margins import controllers
 from rigctl.design.optimise import Limits
-from rigctl.design.plant_family import Array, Family, Member
-from rigctl.design.surrogate import DisturbanceCase, OurLaw
+from rigctl.design.plant_family import Array, Family
+from rigctl.design.surrogate import OurLaw
 
-MOVE_MEMORY_S, SHORT_MEMORY_S = 1.0, 0.1
-"""Longer ones lower the bound of a move by 1 %. A law that remembers a sine for periods finds its phase and cancels it,
-so that its bound says nothing of one without a resonator."""
 OURS_MEMORY_S = 4.0
-JOLT_S = 4.0
-TONES = {name: (mm, hz) for name, (hz, mm) in SINES.items()}
-JOLT, JOINT, MOVE = "jolt", "joint", "paper_k"
+JOINT, MOVE = "joint", "paper_k"
 TOLERANCE = 1e-3
 """Of the bound, below which ours is not: knots and solver."""
 Say = Callable[[str], None]
@@ -134,22 +129,12 @@ def _tuned(
     return alone, family
 
 
-class NominalPlant:
+class NominalPlant(Nominal):
     """One nominal plant with our two laws."""
 
     def __init__(self, known: Known, laws: tuple[TunedLaw, TunedLaw]) -> None:
-        settings = known.settings
-        self.settings = settings
-        self.plant: Member = surrogate.nominal(settings)
+        super().__init__(known.settings)
         self.loops = [loop_law(known, law) for law in laws]
-        self.rate_hz = settings.loop.rate_hz
-        self.short = self.task(SHORT_MEMORY_S)
-
-    def task(self, memory_s: float) -> Task:
-        """The program of this plant with so much memory."""
-        noise_n = self.settings.tension_cell.noise_n
-        memory = round(memory_s * self.rate_hz)
-        return Task(StrokeAnswer.of(self.plant), noise_n, Limits.of(self.settings), memory, self.rate_hz)
 
     def ours(self, case: Case) -> tuple[Ours, Ours]:
         """Both of ours: at the level of the filter, of those within the limits, that errs least."""
@@ -169,16 +154,16 @@ class NominalPlant:
         """Of a sine, or of the jolt."""
         if name == JOLT:
             alone, family = self._jolted()
-            return BoundRow(name, self._least_jolt(), None, None, None, alone, family, None, None)
-        tone = Tone.of(self.plant, *TONES[name], 1.0 / self.rate_hz)
+            return BoundRow(name, self.least_jolt(self.jolt()), None, None, None, alone, family, None, None)
+        tone = self.tone(name)
         alone, family = self.ours(tone)
         return BoundRow(name, program.least(self.short, tone).value, None, None, None, alone, family, None, None)
 
     def joint(self) -> Joint:
         """One linear law for the sines; the jolt's own bound is for any law, and so for that one."""
-        tones = [Tone.of(self.plant, *tone, 1.0 / self.rate_hz) for tone in TONES.values()]
+        tones = [self.tone(name) for name in TONES]
         reached = zip(*([one.rms_n for one in self.ours(tone)] for tone in tones), strict=True)
-        least_jolt = self._least_jolt()
+        least_jolt = self.least_jolt(self.jolt())
         alone, family = (
             max(program.least_share(self.short, tones, list(ours)).value, least_jolt / jolted.rms_n)
             for ours, jolted in zip(reached, self._jolted(), strict=True)
@@ -213,25 +198,11 @@ class NominalPlant:
             None if got.eta_max_pct is None else newtons * got.eta_max_pct,
         )
 
-    def _least_jolt(self) -> float:
-        tension = self.settings.tension
-        return program.least_jolt(self.short, self._jolt(), tension.speed_max_mm_s, tension.acceleration_max_mm_s2)
-
-    def _jolt(self) -> Disturbance:
-        case, rate = self._jolt_case(), self.rate_hz
-        t_s = np.arange(round(case.seconds * rate)) / rate
-        held = 0.5 * sum(case.speed_mm_s(t_s + share / rate) for share in (0.25, 0.75))
-        return Disturbance.of(self.plant, np.asarray(held))
-
-    def _jolt_case(self) -> DisturbanceCase:
-        case = next(each for each in surrogate.scenarios(self.settings) if each.name == JOLT)
-        return replace(case, seconds=JOLT_S)
-
     def _jolted(self) -> tuple[Ours, Ours]:
         """Both of ours in real ticks, as they reach the limits of speed and acceleration."""
 
         def of(loop: LoopLaw) -> Ours:
-            case = surrogate.play(loop.settings, OurLaw(loop.settings, loop.gains), self.plant, self._jolt_case())
+            case = surrogate.play(loop.settings, OurLaw(loop.settings, loop.gains), self.plant, self.jolt_case())
             rest = self._linear(loop, Tone(1.0 + 0.0j, 0.0j, 0.0j))
             return rest._replace(rms_n=case.rms_n, largest_n=case.peak_n)
 
