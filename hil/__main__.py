@@ -90,7 +90,9 @@ def _paper(
 @app.command("compare")
 def _compare(
     file: PaperOr = None,
-    only: Annotated[list[str] | None, typer.Option(help="a scenario to run; may be repeated; default all")] = None,
+    only: Annotated[
+        list[str] | None, typer.Option(help="a scenario to run, or a group; may be repeated; default all")
+    ] = None,
     controllers: Annotated[
         list[str] | None, typer.Option(help="laws to run, separated by commas; may be repeated; default all")
     ] = None,
@@ -103,6 +105,12 @@ def _compare(
     bound: Annotated[
         bool, typer.Option("--bound", help="our law against the least error that any linear law reaches")
     ] = False,
+    shares: Annotated[
+        pathlib.Path | None,
+        typer.Option(
+            metavar="FILE", help="tuned laws by groups of scenarios, three seeds, and shares of the bound: JSON"
+        ),
+    ] = None,
     designs: Annotated[
         int | None,
         number_option(
@@ -129,17 +137,19 @@ def _compare(
 ) -> None:
     """Compare the tension law with its rivals: same plant, seed and limits, each tuned by its published rule.
 
-    All of it takes about 17 minutes of processor time; --quick about 3. --equal-limits takes about 120, --random
-    about 2 for each rig of ours (with --designs 5), --front about 20.
+    All of it takes about 17 minutes of processor time; --quick about 3. --equal-limits takes about 120, --shares
+    about 200, --random about 2 for each rig of ours (with --designs 5), --front about 20.
     """
     from hil.studies.cli import compare_tuned
     from hil.studies.cli.compare import run
 
     file = file or rig_file.shipped(PAPER)
-    if equal_limits or random or bound or front is not None:
+    if equal_limits or random or bound or front is not None or shares is not None:
         asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick, designs=designs)
         if bound:
             raise typer.Exit(compare_tuned.run_bound(file, asked))
+        if shares is not None:
+            raise typer.Exit(compare_tuned.run_shares(file, shares, asked))
         if front is not None:
             raise typer.Exit(compare_tuned.run_front(file, front, asked))
         if random:

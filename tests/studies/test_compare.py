@@ -195,3 +195,38 @@ def test_a_study_of_random_rigs_goes_on_where_it_was(tmp_path: pathlib.Path) -> 
     assert [out.count("\nrig ") + out.startswith("rig ") for out, _ in (two, three, again)] == [2, 1, 0]
     assert len(rows.read_text().splitlines()) == 1 + 3
     assert len({row["stiffness_n_mm"] for row in three[1]}) == 3
+
+
+@pytest.mark.long
+def test_the_bound_of_a_jolt_is_below_ours(tmp_path: pathlib.Path) -> None:
+    file = tmp_path / "bound.json"
+    done = compare("--bound", "--only", "jolt", "--designs", "1", "--json", str(file))
+    assert done.returncode == 0, done.stderr
+    row = json.loads(file.read_text())["rows"]["jolt"]
+    assert 1.0 < row["ours_alone"]["over_bound"] < 2.0
+
+
+@pytest.mark.long
+def test_shares_of_a_group_go_on_where_they_were(tmp_path: pathlib.Path) -> None:
+    """One law, one group, three seeds; the second time every figure is from the rows."""
+    rows, files = tmp_path / "rows.jsonl", [tmp_path / "first.json", tmp_path / "second.json"]
+
+    def said(file: pathlib.Path) -> dict[str, Any]:
+        small = "--only", "shake_3hz", "--controllers", "pi", "--designs", "1"
+        done = compare("--shares", str(file), *small, "--rows", str(rows))
+        assert done.returncode == 0, done.stderr
+        assert "lowest or tied, of 1 group: PI 1\n" in done.stdout
+        found: dict[str, Any] = json.loads(file.read_text())
+        return found
+
+    first = said(files[0])
+    kept = rows.read_text()
+    assert said(files[1]) == first
+    assert rows.read_text() == kept
+    found = first["groups"]["shake_3hz"]
+    assert found["laws"]["pi"]["over_bound"] == pytest.approx(
+        found["laws"]["pi"]["error_pct"] / found["bounds_pct"]["shake_3hz"]
+    )
+    assert found["laws"]["pi"]["over_bound"] > 1.0
+    assert 1.0 < found["laws"]["pi"]["spread"] < 1.1
+    assert (first["seeds"], first["joint"]) == ([1, 2, 3], [])

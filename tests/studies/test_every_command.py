@@ -43,7 +43,16 @@ RIG = rig_file.load(ROOT / "config/paper_rig.yaml")
 RUN = random_rigs.scenario()
 ELSEWHERE = {
     "tests/studies/test_paper_study.py": ("paper", "--json", "--plots"),
-    "tests/studies/test_compare.py": ("compare", "--only", "--controllers", "--json", "--plots", "--bound", "--rows"),
+    "tests/studies/test_compare.py": (
+        "compare",
+        "--only",
+        "--controllers",
+        "--json",
+        "--plots",
+        "--bound",
+        "--shares",
+        "--rows",
+    ),
     "tests/live/hil/test_serve.py": ("serve", "--truth"),
     "tests/live/hil/test_inject.py": ("inject", "--for", "--end"),
 }

@@ -1,22 +1,24 @@
-"""``python -m hil compare --equal-limits``, ``--random``, ``--front`` and ``--bound``: laws tuned by one
+"""``python -m hil compare --equal-limits``, ``--shares``, ``--random``, ``--front`` and ``--bound``: laws tuned by one
 optimiser."""
 
 from __future__ import annotations
 
 import pathlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hil.cli.files import check_names, check_outputs, publish, say, simulated_rig
+from hil.cli.files import check_names, check_outputs, json_text, publish, say, simulated_rig
 from hil.runs.result_table import console
 from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.studies.compare import equal_limits, front, random_rigs, tuned_laws, tuned_tables
+from hil.studies.compare import equal_limits, front, random_rigs, shares, tuned_laws, tuned_tables
 from hil.studies.compare.compared_runs import QUICK, compared_runs
+from hil.studies.compare.groups import GROUPS
 from hil.studies.compare.rivals import OURS
 from rigctl.config.settings import RigSettings
 from rigctl.design import gain_file
+from rigctl.ipc import output_file
 
 WIDTH = 132
 
@@ -83,6 +85,38 @@ def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
     return int(any(row.below for row in found))
 
 
+def run_shares(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
+    """Every law by groups of runs, over three seeds, and the joint bounds; they are written to a file.
+
+    Returns 0, or 1 when our law did not reach the end of a run. Raises: as `run_equal_limits`.
+    """
+    from hil.studies.compare import shares_tables
+    from hil.studies.compare.bound import group_bounds, joint_groups  # the solver takes seconds to load
+    from hil.studies.compare.bound.linear_law import NoBoundError
+
+    rig = _rig(rig_file, asked, {"--shares": file})
+    laws, runs = asked.laws(equal_limits.COMPARED, equal_limits.COMPARED), compared_runs(rig)
+    every = [*GROUPS, shares.JOINT]
+    check_names("--only", asked.only, every)
+    wanted = asked.only or every
+    rows = RowsFile(asked.rows, _of(rig, asked))
+    found = shares.study(
+        rig, runs, [group for group in GROUPS if group in wanted], laws, rows, asked.say,
+        lambda run: group_bounds.bound_pct(rig, run, rows), asked.designs,
+    )  # fmt: skip
+    joint: list[joint_groups.JointGroups] = []
+    if shares.JOINT in wanted:
+        try:
+            joint = joint_groups.study(rig, runs, found.least_by_case(joint_groups.RUNS), rows, asked.say)
+        except NoBoundError as error:
+            raise ScenarioError([f"{rig_file}: {error}"]) from None
+    figures = shares.document(found, [joint_groups.as_json(one) for one in joint])
+    output_file.write(file, json_text(figures))
+    publish(asked.json, figures, lambda: shares_tables.show(found, joint, console(WIDTH)))
+    asked.say(str(file))
+    return int(bool(found.ended_early()))
+
+
 def run_random(rig_file: pathlib.Path, count: int, seed: int, asked: Asked) -> int:
     """Random rigs; returns 0, or 1 when our identified law tripped on one, or has Ms above the limit there.
 
@@ -104,7 +138,7 @@ def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
 
     Raises: as `run_equal_limits`.
     """
-    rig, laws = _rig(rig_file, asked, file), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
+    rig, laws = _rig(rig_file, asked, {"--front": file}), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
     points = front.points(rig, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say)
     front.draw(rig, points, file)
     publish(asked.json, {"points": [point._asdict() for point in points]}, lambda: None)
@@ -112,8 +146,8 @@ def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
     return 0
 
 
-def _rig(rig_file: pathlib.Path, asked: Asked, picture: pathlib.Path | None = None) -> RigSettings:
-    check_outputs({"--json": asked.json, "--front": picture}, [rig_file])
+def _rig(rig_file: pathlib.Path, asked: Asked, outputs: Mapping[str, pathlib.Path] | None = None) -> RigSettings:
+    check_outputs({"--json": asked.json, **(outputs or {})}, [rig_file])
     return simulated_rig(rig_file)
 
 
@@ -122,7 +156,7 @@ def _of(rig: RigSettings, asked: Asked) -> dict[str, Any]:
     assert rig.simulation is not None  # `simulated_rig` refuses a rig without it
     limits = {"ms": rig.design.ms_max, "command_noise_mm_s": rig.design.command_noise_max_mm_s}
     return {
-        "rig": rig.rig, "inputs": gain_file.inputs(rig), "limits": limits,
+        "law": tuned_laws.LAW_VERSION, "rig": rig.rig, "inputs": gain_file.inputs(rig), "limits": limits,
         "simulation": rig.simulation.model_dump(mode="json"),
         "starts": tuned_laws.STARTS, "designs": asked.designs or list(tuned_laws.EVALUATIONS.values()),
     }  # fmt: skip

@@ -133,6 +133,7 @@ WRONG = [
     ("hil compare --controllers pi,bang", "--controllers: found 'bang', expected passive, p,"),
     ("hil compare --bound --only jolts", "--only: found 'jolts', expected paper_k6"),
     ("hil compare --bound --controllers pi", "--controllers: found 'pi', expected ours"),
+    ("hil compare --shares missing/shares.json", "--shares: missing/shares.json cannot be written"),
     # -- files to write
     ("rigctl demo --json nowhere/x.json", "no folder"),
     (f"rigctl tune {PAPER} --json nowhere/x.json", "--json: nowhere/x.json cannot be written: there is no folder"),
