@@ -10,8 +10,9 @@ import control
 import numpy as np
 import pytest
 
-from hil.studies.compare.bound import joint_groups, program
-from hil.studies.compare.bound.joint_groups import MS_SPARE, OWN, JointPlant, answer, family_gap, family_peak
+from hil.runs.rows_file import RowsFile
+from hil.studies.compare.bound import group_bounds, joint_groups, program
+from hil.studies.compare.bound.joint_groups import LAWS, MS_SPARE, OWN, JointPlant, answer, family_gap, family_peak
 from hil.studies.compare.bound.linear_law import Disturbance, StrokeAnswer, at
 from hil.studies.compare.bound.nominal import JOLT, TONES, Nominal
 from hil.studies.compare.bound.program import Law, Task
@@ -130,3 +131,29 @@ def test_a_joint_bound_has_a_price_for_each_group(monkeypatch: pytest.MonkeyPatc
     assert found.family.ms <= SETTINGS.design.ms_max
     kept = json.loads(json.dumps(joint_groups.as_json(found), allow_nan=False))
     assert joint_groups.of_json(kept) == found
+
+
+def test_the_laws_that_were_played_are_a_reference_on_the_plant_of_the_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    here, _ = rig(6.0)
+    swing = Disturbance.of(here.plant, np.full(2000, 0.08), 1000)
+    monkeypatch.setattr(joint_groups, "locked", lambda *_: swing)
+    monkeypatch.setattr(joint_groups, "PLANTS", {"6 N/mm": "paper_k6"})
+    monkeypatch.setattr(joint_groups, "MEMORIES_S", ())
+    monkeypatch.setattr(joint_groups, "LAWS_MEMORIES_S", (0.1,))
+    least_n = {"move": 0.006, "vertical": 0.1, "shake_3hz": 0.06, "shake_8hz": 0.18, "jolt": 0.7}
+    said = list[str]()
+    runs, rows = compared_runs(SETTINGS), RowsFile(None, {})
+    (found,) = joint_groups.study(SETTINGS, runs, least_n, rows, said.append)
+    assert (found.reference, found.reference_n) == (LAWS, least_n)
+    assert found.nominal.most == pytest.approx(max(found.nominal.over.values()), rel=1e-3)
+    assert said[0].startswith("one law for all groups at 6 N/mm, 0.1 s of memory: ")
+    assert joint_groups.study(SETTINGS, runs, None, rows, said.append) == []
+
+
+@pytest.mark.parametrize(("name", "expected"), [("vertical", 0.00325), ("jolt", 0.2201), ("mass", None)])
+def test_the_bound_of_a_run_is_kept(name: str, expected: float | None) -> None:
+    rows = RowsFile(None, {})
+    run = next(run for run in compared_runs(SETTINGS) if run.name == name)
+    found = group_bounds.bound_pct(SETTINGS, run, rows)
+    assert found == (None if expected is None else pytest.approx(expected, rel=0.01))
+    assert rows.get(f"least {name}")["bound_pct"] == found

@@ -1,8 +1,9 @@
 """The least error that any law reaches in each run of the comparison, on the run's own nominal plant.
 
 Of the sines it is that of `TONES`. Of the others the disturbance is what the simulated rig does with its cylinder
-locked: for the moves by any linear law that reads the cell, for jolt and change of mass by any law whose command keeps
-the drive's limits. A law that reads the inclination may be below the bound of a move.
+locked: for the moves by any linear law that reads the cell, for the jolt by any law whose command keeps the drive's
+limits. A change of mass has none: that last law has all of the disturbance beforehand, and cancels its vibration. A law
+that reads the inclination may be below the bound of a move.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from hil.runs.rows_file import RowsFile
 from hil.scenario.play import play
 from hil.studies.compare.bound import program
 from hil.studies.compare.bound.linear_law import Disturbance, NoBoundError
-from hil.studies.compare.bound.nominal import MOVE_MEMORY_S, TONES, Nominal
+from hil.studies.compare.bound.nominal import JOLT, MOVE_MEMORY_S, TONES, Nominal
 from hil.studies.compare.compared_runs import ComparedRun
 from hil.studies.compare.comparison import WAIVER
 from hil.studies.compare.equal_limits import Known
@@ -39,10 +40,11 @@ def bound_pct(rig: RigSettings, run: ComparedRun, rows: RowsFile) -> float | Non
 def _least_n(here: Nominal, settings: RigSettings, run: ComparedRun) -> float:
     if run.name in TONES:
         return program.least(here.short, here.tone(run.name)).value
-    case = locked(settings, run)
+    if run.name == JOLT:
+        return here.least_jolt(locked(settings, run))
     if run.event_s is not None:
-        return here.least_jolt(case)
-    return program.least(here.task(MOVE_MEMORY_S), case).value
+        raise NoBoundError("no bound of a single event but the jolt")
+    return program.least(here.task(MOVE_MEMORY_S), locked(settings, run)).value
 
 
 def locked(settings: RigSettings, run: ComparedRun) -> Disturbance:
