@@ -28,7 +28,7 @@ from rigctl.design.optimise import Best, Limits
 from rigctl.design.plant_family import ComplexArray, Family, Member
 from rigctl.design.surrogate import TickedLaw, nominal
 
-LAW_VERSION = 1
+LAW_VERSION = 2
 """Of `rigctl.control.law` and of its search: to be raised with their arithmetic, so that rows of before are refused."""
 EVALUATIONS = {True: 60, False: 15}
 """For each knob and start: of a search over the whole range, of one that begins at the optimum for another rig."""
