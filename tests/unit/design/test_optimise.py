@@ -41,6 +41,21 @@ def test_the_minimum_is_found_behind_a_limit_from_anywhere(start: tuple[float, f
     assert minimum(bowl, TWO, start, evaluations=250) == ((a, b), called)  # the same seed, the same search
 
 
+@pytest.mark.parametrize(
+    "cost", [lambda _: 1.0, lambda values: values[0], lambda _: BROKEN], ids=["flat", "end", "none"]
+)
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_flat_cost_and_an_optimum_at_an_end_end_in_a_value(
+    cost: Callable[[Sequence[float]], float], count: int
+) -> None:
+    knobs = [Knob(name, 0.01, 0.9) for name in "abc"[:count]]
+    values, called = minimum(cost, knobs, (0.5,) * count, evaluations=60 * count)
+    assert all(0.01 <= value <= 0.9 for value in values)
+    assert called <= 60 * count + 24
+    if cost((0.2,)) == 0.2:
+        assert values[0] == 0.01
+
+
 def test_the_values_are_rounded_before_they_are_judged() -> None:
     seen: list[Sequence[float]] = []
 
