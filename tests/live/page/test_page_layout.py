@@ -48,8 +48,9 @@ CHATTERS = Shown(
     "chatters",
     state(Mode.FAULT, fault=Fault.E_STOP),
     [
-        *(event(Kind.LIMIT, -60.0 + n, Fault.LIMIT, Action.LOG, 4142.0, 2000.0, f"{signal} above")
-          for n in range(42) for signal in ("lateness_us", "skipped_ticks", "cell_age_ms")),
+        *(event(kind, -60.0 + n, Fault.LIMIT, Action.LOG, 4142.0, 2000.0, f"{signal} above")
+          for n in range(42) for kind in (Kind.LIMIT, Kind.LIMIT_OVER)
+          for signal in ("lateness_us", "skipped_ticks", "cell_age_ms")),
         *tripped(Fault.E_STOP), *tripped(Fault.DRIVE_EMERGENCY)[1:2], *tripped(Fault.DRIVE_FAULT)[1:2],
     ],
 )  # fmt: skip
