@@ -270,7 +270,7 @@ class TensionFilter:
             y1 = None
         surprised = self.cell.surprised
         gain = self._of_tension if not surprised else self._of_burst(ticks)
-        (kt, kv, kw), rest = gain.first, gain.rest
+        kt, kv, kw = gain.first
         (lt, lv, lw), by_speed = self._of_speed.first, self._of_speed.rest
         if y0 is None or y1 is None or surprised:
             self._open()
@@ -279,10 +279,10 @@ class TensionFilter:
             quiet = 1.0 - opening.level
             dt, dv, dw = self._to_quiet.first
             kt, kv, kw = kt + quiet * dt, kv + quiet * dv, kw + quiet * dw
-            rest = tuple(k + quiet * d for k, d in zip(rest, self._to_quiet.rest, strict=True))
+            self._swing.correct(self._to_quiet.rest, by_speed, quiet * y0, 0.0)
         y0, y1 = y0 or 0.0, y1 or 0.0
         self._x = t + kt * y0 + lt * y1, v + kv * y0 + lv * y1, w + kw * y0 + lw * y1
-        self._swing.correct(rest, by_speed, y0, y1)
+        self._swing.correct(gain.rest, by_speed, y0, y1)
 
     def _finite(self, value: float | None) -> float | None:
         if value is None or math.isfinite(value):
@@ -340,9 +340,3 @@ class TensionFilter:
     def level(self) -> float:
         """How far the filter is open: 0 = quiet, 1 = open, or without a quiet setting."""
         return self.opening.level if self.opening is not None else 1.0
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of the state after an update, (n, n), in the open setting."""
-        left = np.eye(len(self.gain)) - self.gain @ np.eye(2, len(self.gain))
-        return np.asarray(left @ self._prior)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import stats
+from scipy.linalg import solve_discrete_are
 
 from rigctl.config import rig_file as config
 from rigctl.control.law.estimator import Array, FilterModel, TensionFilter, filter_model
@@ -32,17 +33,19 @@ class Run:
         commands = np.sin(np.arange(TICKS) * 0.02)
         h = np.eye(2, 3)
         nees, nis, innovations = [], [], []
+        noises = np.diag([assumed.cell_variance_n2, assumed.speed_variance_mm2_s2])
+        prior = solve_discrete_are(assumed.f.T, h.T, assumed.q, noises)
+        s = h @ prior @ h.T + noises
+        after = prior - prior @ h.T @ np.linalg.solve(s, h @ prior)
         for n in range(TICKS):  # a sample latched in one tick is read in the next one
             y, v = x[:2] + deviation * noise.standard_normal(2)
             before = np.array(kalman.state)
             kalman.update(float(y), float(v))
             if n >= SETTLE:
                 innovation = np.array([y, v]) - before[:2]
-                prior = kalman._prior
-                s = h @ prior @ h.T + np.diag([assumed.cell_variance_n2, assumed.speed_variance_mm2_s2])
                 error = x - np.array(kalman.state)
                 nis.append(innovation @ np.linalg.solve(s, innovation))
-                nees.append(error @ np.linalg.solve(kalman.covariance, error))
+                nees.append(error @ np.linalg.solve(after, error))
                 innovations.append(innovation / np.sqrt(np.diag(s)))
             kalman.predict()
             kalman.command(float(commands[n]))

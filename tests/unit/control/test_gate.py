@@ -102,14 +102,10 @@ def test_what_is_missing_is_absent_and_a_slack_rope_is_idle() -> None:
 
 
 @given(st.lists(st.one_of(st.none(), st.floats(-1e7, 1e7)), min_size=50, max_size=200))
-def test_state_and_covariance_stay_finite_and_symmetric_whatever_comes(samples: list[float | None]) -> None:
+def test_what_is_ahead_stays_finite_whatever_comes(samples: list[float | None]) -> None:
     kalman = settled()
     for n, tension in enumerate(samples):
         kalman.update(tension, None if n % 7 == 3 else (tension or 0.0) % 13.0)
         kalman.predict(1 + n % 3)
         kalman.command(1.0)
         assert all(map(math.isfinite, kalman.ahead()))
-        p = kalman.covariance
-        assert np.isfinite(p).all()
-        np.testing.assert_allclose(p, p.T, rtol=1e-9, atol=1e-15)
-        assert np.linalg.eigvalsh(p).min() > -1e-9 * np.abs(p).max()
