@@ -65,8 +65,8 @@ def knobs_for(settings: RigSettings) -> tuple[Knob, ...]:
 
 def at_bound(settings: RigSettings) -> list[Knob]:
     """The weights that are within a hundredth of an end of their range: a search there may have stopped short."""
-    turned_ = [(knob, float(value_of(settings, knob.key))) for knob in knobs_for(settings)]
-    return [knob for knob, value in turned_ if not 1.01 * knob.low < value < knob.high / 1.01]
+    values = [(knob, float(value_of(settings, knob.key))) for knob in knobs_for(settings)]
+    return [knob for knob, value in values if not 1.01 * knob.low < value < knob.high / 1.01]
 
 
 def value_of(settings: RigSettings, key: str) -> Any:

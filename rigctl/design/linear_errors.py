@@ -22,7 +22,7 @@ import numpy as np
 
 from rigctl.config.settings import RigSettings
 from rigctl.design.performance import SHAKE_HZ, VERTICAL_HZ, VERTICAL_MM
-from rigctl.design.plant_family import Array, ComplexArray, sampled
+from rigctl.design.plant_family import Array, ComplexArray, nominal
 
 SHAKE_MM = 0.05
 TONES = {
@@ -80,8 +80,6 @@ class LinearCases:
 
     def __init__(self, settings: RigSettings) -> None:
         rate = settings.loop.rate_hz
-        ticks = settings.plant.command_delay_s * rate
-        plant = sampled(settings, settings.plant.mechanism_n_mm, 1.0, 1.0, 1.0, ticks)
         self._noise_n = settings.tension_cell.noise_n
         self._noise_hz = np.concatenate([[0.0], np.geomspace(0.02, 0.5 * rate, NOISE_POINTS)])
         every_s, from_s, speeds = recorded_move()
@@ -95,7 +93,7 @@ class LinearCases:
         hz = [self._noise_hz[1:], np.array([tone for tone, _ in TONES.values()]), self._move_hz[1:]]
         self._cuts = np.cumsum([len(each) for each in hz])[:-1]
         self.z: ComplexArray = np.exp(2j * np.pi * np.concatenate(hz) / rate)
-        self._plant = plant.response(self.z)
+        self._plant = nominal(settings).response(self.z)
         speed = rate * np.abs(self.z[self._cuts[0] : self._cuts[1]] - 1.0)
         self._speeds = speed * np.array([amplitude for _, amplitude in TONES.values()])
 

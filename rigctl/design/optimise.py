@@ -25,7 +25,7 @@ import numpy as np
 from rigctl.config.bounds import findings
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.estimator import Array, filter_model
-from rigctl.design import surrogate
+from rigctl.design import plant_family, surrogate
 from rigctl.design.gains import OPEN, DesignError
 from rigctl.design.knobs import Knob, knobs_for, turned, value_of
 from rigctl.design.linear_errors import LinearCases, Response, references_n
@@ -148,8 +148,11 @@ class OurDesign:
         return controllers(filter_model(self.settings), self.design.gains)[OPEN].response
 
 
-def score(settings: RigSettings, judged: Judged | None, limits: Limits, cases: LinearCases) -> Score:
-    """Score a law on the plant in the settings, of which ``cases`` are; None is one that cannot be made."""
+def score(settings: RigSettings, judged: Judged | None, limits: Limits, cases: LinearCases | None) -> Score:
+    """Score a law on the plant in the settings; None is one that cannot be made.
+
+    ``cases``: of that plant; None: everything in ticks, also of a law that has a response.
+    """
     if judged is None:
         return Score(3.0 * BROKEN, math.inf, math.inf, {})
     ms, noise = judged.ms, judged.command_noise_mm_s
@@ -166,11 +169,11 @@ def score(settings: RigSettings, judged: Judged | None, limits: Limits, cases: L
     return Score(float((1.0 - MEAN_SHARE) * shares.max() + MEAN_SHARE * shares.mean()), ms, noise, rms_n)
 
 
-def _errors(settings: RigSettings, judged: Judged, cases: LinearCases) -> tuple[dict[str, float], float]:
+def _errors(settings: RigSettings, judged: Judged, cases: LinearCases | None) -> tuple[dict[str, float], float]:
     """True error of each group, N, and the steps of the command at rest, mm/s."""
     response, law = judged.response, judged.law()
-    plant, played = surrogate.nominal(settings), surrogate.scenarios(settings)
-    if response is None:
+    plant, played = plant_family.nominal(settings), surrogate.scenarios(settings)
+    if response is None or cases is None:
         found = {case.name: surrogate.play(settings, law, plant, case) for case in played}
         return {name: each.rms_n for name, each in found.items()}, found[surrogate.REST].step_mm_s
     linear = cases.errors(response)
@@ -266,6 +269,11 @@ def weights(
     )
     before = score(settings, our_design(settings, family), limits, cases)
     return turned(settings, knobs, values), Best(values, scored(values), before, called)
+
+
+def in_ticks(settings: RigSettings, family: Family) -> Score:
+    """Our law with the weights of the settings, judged by the limits themselves and in ticks alone."""
+    return score(settings, our_design(settings, family), Limits.of(settings), None)
 
 
 def our_design(settings: RigSettings, family: Family, knobs: Sequence[Knob] = ()) -> OurDesign | None:

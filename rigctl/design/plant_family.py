@@ -111,22 +111,23 @@ def sampled(
     delay_scale: float,
     delay_ticks: float,
     damping_n_s_mm: float | None = None,
-    cell_hz: float | None = None,
     mechanism_damping: float = MECHANISM_DAMPING,
 ) -> Member:
-    """The plant in the settings, scaled, with inputs held over each period (exact; by python-control).
+    """The plant in the settings, scaled, with the low-pass of its cell and with inputs held over each period.
 
-    ``delay_scale`` is a name here, ``delay_ticks`` counts. ``damping_n_s_mm``: of spring and rope; None: that of the
-    settings, scaled as the stiffness is. ``cell_hz``: corner of the amplifier's low-pass; None: what it is late by is
-    part of the delay, which costs a loop no less phase and more gain. The command of a tick acts whole ticks later,
-    and where the delay has a fraction, only after that fraction of the period (Franklin, Powell, Workman: Digital
-    Control of Dynamic Systems, section 4.3.4).
+    The held inputs are exact, by python-control. ``delay_scale`` is a name here, ``delay_ticks`` counts.
+    ``damping_n_s_mm``: of spring and rope; None: that of the settings, scaled as the stiffness is. Where the settings
+    have no corner of the amplifier's low-pass (`tension_cell.filter_hz`), what it is late by is part of the delay,
+    which costs a loop no less phase and more gain. The command of a tick acts whole ticks later, and where the delay
+    has a fraction, only after that fraction of the period (Franklin, Powell, Workman: Digital Control of Dynamic
+    Systems, section 4.3.4).
     """
     plant, dt = settings.plant, 1.0 / settings.loop.rate_hz
     c = k_scale * plant.damping_n_s_mm if damping_n_s_mm is None else damping_n_s_mm
     made = of_values(
         k_scale * plant.stiffness_n_mm, c, lag_scale * plant.cylinder_lag_s, delay_ticks, dt,
-        k_m=k_m, payload_kg=plant.payload_kg, mechanism_damping=mechanism_damping, cell_hz=cell_hz,
+        k_m=k_m, payload_kg=plant.payload_kg, mechanism_damping=mechanism_damping,
+        cell_hz=settings.tension_cell.filter_hz,
     )  # fmt: skip
     return replace(made, k_scale=k_scale, delay_scale=delay_scale, lag_scale=lag_scale)
 
@@ -197,6 +198,12 @@ def _rates(
     basis = np.eye(n + 2)
     basis[0, :n] = tension
     return basis @ rates @ np.linalg.inv(basis), np.eye(1, n)[0]
+
+
+def nominal(settings: RigSettings) -> Member:
+    """The plant in the settings, its delay exact."""
+    ticks = settings.plant.command_delay_s * settings.loop.rate_hz
+    return sampled(settings, settings.plant.mechanism_n_mm, 1.0, 1.0, 1.0, ticks)
 
 
 def assumed(settings: RigSettings) -> Family:

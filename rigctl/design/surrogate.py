@@ -24,7 +24,7 @@ from rigctl.control.law.estimator import Array, TensionFilter, filter_model
 from rigctl.control.law.tension import Estimate, Gains, TensionLaw
 from rigctl.design.linear_errors import MOVE, SHAKE_MM, recorded_move, unknown_share
 from rigctl.design.performance import VERTICAL_HZ, VERTICAL_MM
-from rigctl.design.plant_family import Member, sampled
+from rigctl.design.plant_family import Member
 
 SETTLE_S = 0.15  # before a scenario, for the noise to go round the loop
 REST, JOLT = "rest", "jolt"
@@ -146,12 +146,6 @@ def play(settings: RigSettings, law: TickedLaw, plant: Member, scenario: Disturb
         float(np.std(sent)),
         float(np.std(np.diff(sent))),
     )
-
-
-def nominal(settings: RigSettings) -> Member:
-    """The plant in the settings, its delay exact."""
-    ticks = settings.plant.command_delay_s * settings.loop.rate_hz
-    return sampled(settings, settings.plant.mechanism_n_mm, 1.0, 1.0, 1.0, ticks)
 
 
 def _disturbance(scenario: DisturbanceCase, rate_hz: int) -> Array:

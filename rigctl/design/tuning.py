@@ -102,7 +102,8 @@ def tune(
 def _optimised(settings: RigSettings, family: Family, search: Optimisation) -> tuple[RigSettings, Best]:
     """The weights of least cost with one setting of the filter, or with a quiet one beside it where that costs less.
 
-    The second search begins at the optimum of the first.
+    The second search begins at the optimum of the first. Two settings have no response, so that both optima, and the
+    file's weights, are compared in ticks.
     """
     count = round(ONE_SETTING * search.evaluations)
     single = optimise.weights(
@@ -112,9 +113,10 @@ def _optimised(settings: RigSettings, family: Family, search: Optimisation) -> t
         searchable(single[0]), family, seed=search.seed, evaluations=search.evaluations - count, advance=search.advance,
         wide=False,
     )  # fmt: skip
-    used, best = min(single, pair, key=lambda found: found[1].score.cost)
+    start, *scores = (optimise.in_ticks(each, family) for each in (settings, single[0], pair[0]))
+    used, best, score = min((*single, scores[0]), (*pair, scores[1]), key=lambda found: found[2].cost)
     called = single[1].evaluations + pair[1].evaluations
-    return used, replace(best, start=single[1].start, evaluations=called)
+    return used, replace(best, score=score, start=start, evaluations=called)
 
 
 def _at_point(base: Tuned, plant: Identified, search: Optimisation | None) -> Tuned:

@@ -19,7 +19,8 @@ from rigctl.design.closed_loop import ClosedLoop, closed_loop
 from rigctl.design.gains import OPEN, design
 from rigctl.design.linear_errors import MOVE, TONES, LinearCases, recorded_move, references_n
 from rigctl.design.margins import controllers
-from rigctl.design.surrogate import OurLaw, nominal, play, scenarios
+from rigctl.design.plant_family import nominal
+from rigctl.design.surrogate import OurLaw, play, scenarios
 
 Rig = Callable[..., RigSettings]
 SWING: dict[str, Any] = {"inclination_swing_hz": None, "swing_hz": 0.59, "swing_damping": 0.05, "swing_walk_mm_s": 0.5}

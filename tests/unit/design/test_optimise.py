@@ -13,7 +13,8 @@ from rigctl.design.gains import design
 from rigctl.design.knobs import KNOBS, Knob, turned, value_of
 from rigctl.design.linear_errors import LinearCases, Response
 from rigctl.design.optimise import BROKEN, Limits, OurDesign, minimum, our_design, score
-from rigctl.design.surrogate import CaseErrors, OurLaw, TickedLaw, nominal, play, scenarios
+from rigctl.design.plant_family import nominal
+from rigctl.design.surrogate import CaseErrors, OurLaw, TickedLaw, play, scenarios
 
 Rig = Callable[..., RigSettings]
 TWO = (Knob("a", 0.01, 100.0), Knob("b", 0.01, 100.0))

@@ -10,7 +10,7 @@ from hil.studies.compare.bound import program
 from hil.studies.compare.bound.linear_law import Disturbance, StrokeAnswer, Tone
 from hil.studies.compare.bound.program import Task
 from rigctl.config.settings import RigSettings
-from rigctl.design import surrogate
+from rigctl.design import plant_family, surrogate
 from rigctl.design.linear_errors import TONES as SINES
 from rigctl.design.optimise import Limits
 from rigctl.design.plant_family import Member
@@ -29,7 +29,7 @@ class Nominal:
 
     def __init__(self, settings: RigSettings) -> None:
         self.settings = settings
-        self.plant: Member = surrogate.nominal(settings)
+        self.plant: Member = plant_family.nominal(settings)
         self.rate_hz = settings.loop.rate_hz
         self.short = self.task(SHORT_MEMORY_S)
 

@@ -28,7 +28,7 @@ from hil.studies.compare.rivals import OURS
 from hil.studies.compare.tuned_laws import TunedLaw
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.estimator import filter_model
-from rigctl.design import surrogate
+from rigctl.design import plant_family, surrogate
 from rigctl.design.margins import controllers
 from rigctl.design.optimise import Limits
 from rigctl.design.plant_family import Array, Family
@@ -123,7 +123,7 @@ def _tuned(
     known: Known, rows: RowsFile, bases: tuple[TunedLaw, TunedLaw] | None, designs: int | None
 ) -> tuple[TunedLaw, TunedLaw]:
     """Ours for the nominal plant alone, and over the family."""
-    single = known._replace(family=Family("nominal", (surrogate.nominal(known.settings),)))
+    single = known._replace(family=Family("nominal", (plant_family.nominal(known.settings),)))
     family = tuning(known, OURS, rows, bases[1] if bases else None, designs=designs)
     alone = tuning(single, OURS, rows, bases[0] if bases else family, name="ours alone", designs=designs)
     return alone, family
