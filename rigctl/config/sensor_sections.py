@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from pydantic import Field
 
 from rigctl.config.plain import PlainMessage
@@ -36,7 +38,15 @@ class TensionCellSettings(CanopenDevice):
     eds: str = Field(default="eds/tension_amplifier.eds", description="EDS file, relative to the rig file")
     range_n: float = Field(gt=0, le=100_000, description="rated range of the cell")
     noise_n: float = Field(gt=0, le=100, description="noise, rms, per sample")
+    filter_hz: float | None = Field(
+        default=None, gt=0, le=10_000, description="low-pass of the amplifier, first order, null = none or unknown"
+    )
     dbc: TensionDbcSettings | None = Field(default=None, description="plain frames, null = CANopen")
+
+    @property
+    def late_s(self) -> float:
+        """What the low-pass makes a slow tension late by."""
+        return 0.0 if self.filter_hz is None else 1.0 / (2.0 * math.pi * self.filter_hz)
 
 
 class InclinometerSettings(CanopenDevice):

@@ -273,6 +273,7 @@ class RigSettings(Settings):
             require(zero < low, "calibration.tare_limit_n", zero, f"below safety.tension_low_n ({low:g})")
             weight = self.calibration.reference_n
             require(weight <= scale, "calibration.reference_n", weight, f"within tension_cell.range_n ({scale:g})")
+        self._check_filter()
         self._check_compensation()
         period_ms = 1000 / rate
         stale = min(self.safety.stale_ms, self.safety.bus_silent_ms)
@@ -303,6 +304,15 @@ class RigSettings(Settings):
         if (status := self.cylinder.status_rate_hz) is not None:
             fits = 1 <= rate // status <= _MOST_SYNCS
             require(fits, "cylinder.status_rate_hz", status, f"loop.rate_hz ({rate}) divided by 1 to 240")
+
+    def _check_filter(self) -> None:
+        """The cell's low-pass is a fact of its amplifier: a simulated one has that of the file."""
+        if self.simulation is not None:
+            built, found = (
+                "null" if each.filter_hz is None else each.filter_hz
+                for each in (self.simulation.cell, self.tension_cell)
+            )
+            require(found == built, "tension_cell.filter_hz", found, f"that of simulation.cell ({built})")
 
     def _check_compensation(self) -> None:
         section = self.compensation

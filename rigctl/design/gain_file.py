@@ -43,7 +43,7 @@ from rigctl.ipc.seal import SealError, SealVerdict
 # Keys that determine gains, margins and performance.
 INPUTS: dict[str, tuple[str, ...]] = {
     "loop": ("rate_hz",),
-    "tension_cell": ("noise_n",),
+    "tension_cell": ("noise_n", "filter_hz"),
     "plant": (
         "spring_n_mm", "rope_n_mm", "cylinder_lag_s", "command_delay_s", "payload_kg", "mechanism_n_mm",
         "spring_damping_n_s_mm", "rope_damping_n_s_mm",
@@ -55,7 +55,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
     "design": ("stretch_weight", "integral_weight", "command_weight"),
 }  # fmt: skip
 _LATER = frozenset(
-    (*INPUTS["estimator"][5:], *INPUTS["plant"][6:])
+    (*INPUTS["tension_cell"][1:], *INPUTS["estimator"][5:], *INPUTS["plant"][6:])
 )  # left out at their default, so that files without them still fit
 SAME_VALUE = 1e-9  # relative
 REPLACEABLE = frozenset(f"{section}.{key}" for section in ("plant", "estimator", "design") for key in INPUTS[section])

@@ -130,7 +130,9 @@ def points(entries: Sequence[Entry], settings: RigSettings) -> list[Identified]:
     Raises:
         NotIdentifiedError: stiffness, lag or delay is not on record.
     """
-    found = [item for item in _findings(entries) if same_spring(item.believed_n_mm, settings.plant.stiffness_n_mm)]
+    mounted = settings.plant.stiffness_n_mm
+    every = _findings(entries, settings.tension_cell.late_s)
+    found = [item for item in every if same_spring(item.believed_n_mm, mounted)]
     newest_first = found[::-1]
     at: list[list[_Finding]] = []
     for item in newest_first:
@@ -139,7 +141,7 @@ def points(entries: Sequence[Entry], settings: RigSettings) -> list[Identified]:
             at.append([item])
         else:
             near.append(item)
-    spring = f"with a stiffness of {settings.plant.stiffness_n_mm:.4g} N/mm in the rig file"
+    spring = f"with a stiffness of {mounted:.4g} N/mm in the rig file"
     if not found:
         raise NotIdentifiedError(f"no identification {spring} is on record: run `rigctl identify`")
     # A point of its own needs a stiffness of its own.
@@ -187,7 +189,7 @@ def contradicted(found: Identified, entries: Sequence[Entry], settings: RigSetti
         return why
     ranges = widened(found, settings)
     since = next((at for at, item in enumerate(entries) if entry_digest(item) in found.entries), 0)
-    for item in _findings(entries):
+    for item in _findings(entries, settings.tension_cell.late_s):
         date, figures = item.entry.when[:10], item.entry.figures
         if item.at < since or entry_digest(item.entry) in found.entries:
             continue
@@ -363,13 +365,13 @@ def believing(settings: RigSettings, found: Identified) -> RigSettings:
     return changed(settings, model_of(settings, found))
 
 
-def _findings(entries: Iterable[Entry]) -> Iterator[_Finding]:
-    """The entries with figures of the plant, in their order."""
+def _findings(entries: Iterable[Entry], late_s: float = 0.0) -> Iterator[_Finding]:
+    """The entries with figures of the plant, in their order; ``late_s``: by the cell's low-pass, no delay of theirs."""
     for at, item in enumerate(entries):
         if item.what == IDENTIFY:
             found = _of_rows(item)
         elif item.what == RESPONSE:
-            found = _of_response(item)
+            found = _of_response(item, late_s)
         else:
             continue
         if found is not None:
@@ -388,8 +390,8 @@ def _of_rows(item: Entry) -> _Finding | None:
     return _finding(item, believed, figures, above)
 
 
-def _of_response(item: Entry) -> _Finding | None:
-    """An entry of `identify --response`; what the tension is late by counts as delay of the plant."""
+def _of_response(item: Entry, late_s: float) -> _Finding | None:
+    """An entry of `identify --response`; what the tension is late by beyond ``late_s`` counts as delay of the plant."""
     plant = item.figures.get("plant")
     if not isinstance(plant, dict):
         return None
@@ -397,7 +399,7 @@ def _of_response(item: Entry) -> _Finding | None:
     read = {name: _pair(*_value_error(plant.get(name))) for name in names}
     delay, late = read["delay_s"], read.pop("sensor_delay_s")
     if delay is not None and late is not None:
-        read["delay_s"] = Uncertain(delay.value + late.value, math.hypot(delay.error, late.error))
+        read["delay_s"] = Uncertain(max(0.0, delay.value + late.value - late_s), math.hypot(delay.error, late.error))
     mechanism = plant.get("mechanism_n_mm")
     above = _number(mechanism.get("above")) if isinstance(mechanism, dict) else None
     return _finding(item, _number(item.before.get("stiffness_n_mm")), read, above)

@@ -18,6 +18,7 @@ from hil.studies.compare.groups import GROUPS
 from hil.studies.compare.rivals import OURS
 from rigctl.config.settings import RigSettings
 from rigctl.design import gain_file
+from rigctl.design.linear_errors import references_n
 from rigctl.ipc import output_file
 
 WIDTH = 132
@@ -157,6 +158,6 @@ def _of(rig: RigSettings, asked: Asked) -> dict[str, Any]:
     limits = {"ms": rig.design.ms_max, "command_noise_mm_s": rig.design.command_noise_max_mm_s}
     return {
         "law": tuned_laws.LAW_VERSION, "rig": rig.rig, "inputs": gain_file.inputs(rig), "limits": limits,
-        "simulation": rig.simulation.model_dump(mode="json"),
+        "simulation": rig.simulation.model_dump(mode="json"), "references": references_n(rig),
         "starts": tuned_laws.STARTS, "designs": asked.designs or list(tuned_laws.EVALUATIONS.values()),
     }  # fmt: skip

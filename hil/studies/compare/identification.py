@@ -9,7 +9,6 @@ import math
 from typing import NamedTuple
 
 from hil.lockstep import lockstep
-from hil.nodes.low_pass import time_constant_s
 from hil.plant.parameters import axial_damping_n_s_mm
 from hil.rig_with_ledger import RigWithLedger
 from hil.scenario.errors import ScenarioError
@@ -40,7 +39,7 @@ class Built(NamedTuple):
     stiffness_n_mm: float
     lag_s: float
     delay_s: float
-    """Of the drive, and of the cell's filter."""
+    """Of the drive."""
     mechanism_n_mm: float | None
     damping_n_s_mm: float
 
@@ -49,11 +48,10 @@ def built(rig: RigSettings) -> Built:
     """The truth of a rig with a `simulation` section."""
     plant, simulation = rig.plant, rig.simulation
     assert simulation is not None  # the commands refuse a rig without it
-    corner_hz = simulation.cell.filter_hz
     return Built(
         plant.stiffness_n_mm * simulation.stiffness_scale,
         plant.cylinder_lag_s * simulation.lag_scale,
-        plant.command_delay_s * simulation.delay_scale + (time_constant_s(corner_hz) if corner_hz else 0.0),
+        plant.command_delay_s * simulation.delay_scale,
         simulation.mechanism.vertical_n_mm,
         axial_damping_n_s_mm(rig, simulation),
     )
@@ -110,8 +108,7 @@ def true_plant(rig: RigSettings) -> Member:
     there = changed(rig, {"plant.spring_n_mm": None, "plant.rope_n_mm": truth.stiffness_n_mm,
                           "plant.cylinder_lag_s": truth.lag_s})  # fmt: skip
     ticks = rig.plant.command_delay_s * simulation.delay_scale * rig.loop.rate_hz
-    corner_hz = simulation.cell.filter_hz
     return sampled(
-        there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm, corner_hz,
+        there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm,
         simulation.mechanism.damping_ratio,
     )  # fmt: skip

@@ -25,10 +25,10 @@ from rigctl.design.knobs import Knob, knobs_for, turned, value_of
 from rigctl.design.linear_errors import LinearCases, Response
 from rigctl.design.margins import frequency_grid
 from rigctl.design.optimise import Best, Limits
-from rigctl.design.plant_family import ComplexArray, Family, Member
-from rigctl.design.surrogate import TickedLaw, nominal
+from rigctl.design.plant_family import ComplexArray, Family, Member, nominal
+from rigctl.design.surrogate import TickedLaw
 
-LAW_VERSION = 2
+LAW_VERSION = 3
 """Of `rigctl.control.law` and of its search: to be raised with their arithmetic, so that rows of before are refused."""
 EVALUATIONS = {True: 60, False: 15}
 """For each knob and start: of a search over the whole range, of one that begins at the optimum for another rig."""

@@ -249,7 +249,8 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
     kalman.settle()
     to_tension, keep, by_tension, by_speed = model.f.item(0, 1), model.f.item(1, 1), model.b.item(0), model.b.item(1)
     sent = [0.0] * model.delay_ticks
-    tension_n = speed_mm_s = 0.0
+    kept, rising = _low_pass(settings)
+    tension_n = speed_mm_s = shown_n = before_n = 0.0
     reading_n, read_mm_s = noise_n, 0.0
     found = []
     for tick in range(round(IMPULSE_S * settings.loop.rate_hz)):
@@ -263,7 +264,19 @@ def _impulse(settings: RigSettings, gains: Gains, probe_mm_s: float, noise_n: fl
         found.append((reading_n, read_mm_s, command_mm_s, tension_n))
         sent.append(command_mm_s)
         acting = sent.pop(0)
-        reading_n, read_mm_s = tension_n, speed_mm_s  # latched at this tick's SYNC, read in the next
+        shown_n = tension_n - (tension_n - before_n) * rising - (before_n - shown_n) * kept
+        before_n = tension_n
+        reading_n, read_mm_s = shown_n, speed_mm_s  # latched at this tick's SYNC, read in the next
         tension_n += to_tension * speed_mm_s + by_tension * acting
         speed_mm_s = keep * speed_mm_s + by_speed * acting
     return np.array(found)
+
+
+def _low_pass(settings: RigSettings) -> tuple[float, float]:
+    """Of the cell's low-pass: what a period leaves of its lag, and its lag behind a rise over the period as a share."""
+    late_s = settings.tension_cell.late_s
+    if not late_s:
+        return 0.0, 0.0
+    periods = 1.0 / (settings.loop.rate_hz * late_s)
+    kept = math.exp(-periods)
+    return kept, (1.0 - kept) / periods

@@ -11,6 +11,8 @@ from rigctl.config import rig_file as config
 from tests.builders.paths import ROOT
 
 REAL = (ROOT / "config/rig.yaml").read_text()
+PAPER = (ROOT / "config/paper_rig.yaml").read_text()
+FILTERED = "  filter_hz: 500.0               # of the amplifier"
 LONG = REAL.replace("stroke_max_mm: 120.0", "stroke_max_mm: 300.0")
 FAST = re.sub(r"speed_max_mm_s: [\d.]+", "speed_max_mm_s: 400.0", REAL)
 STOCK = 'velocity_object: "0x606C", velocity_pdo: 3'
@@ -28,6 +30,12 @@ def second_force(**keys: str) -> str:
 
 
 REFUSED = [
+    (PAPER.replace(FILTERED, "  #"), "tension_cell.filter_hz", "found null, expected that of simulation.cell (500.0)"),
+    (
+        PAPER.replace(FILTERED, FILTERED.replace("500", "400")),
+        "tension_cell.filter_hz",
+        "found 400.0, expected that of",
+    ),
     (f"{REAL}io: {{e_stop_input: 0, node: 4}}\n", "cylinder.node", "(io has it)"),
     (f"{REAL}io: {{e_stop_input: 0, node: 1}}\n", "io.node", "(can.controller_node has it)"),
     (f"{REAL}io: {{e_stop_input: 0, node: 112}}\n", "io.node", "(the simulator has it)"),

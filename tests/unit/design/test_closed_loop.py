@@ -65,6 +65,10 @@ def _impulse_of_the_model(loop: ClosedLoop, channel: int, ticks: int) -> list[tu
     return found
 
 
+ROUNDED = 1e-11
+"""N, mm/s: a double beside 300 N is known to 6e-14, and the integral keeps what it was given wrong."""
+
+
 @pytest.mark.parametrize("channel", [0, 1, 2], ids=["cell noise", "speed noise", "disturbance"])
 @pytest.mark.parametrize(
     ("rate_hz", "k_m", "k_scale", "delay_scale"),
@@ -84,8 +88,8 @@ def test_margins_describe_the_code_that_runs(
     loop = closed_loop(plant, controller(model, design(settings), filter_gain(model)))
     expected = _impulse_of_the_model(loop, channel, 1000)
     real = _impulse_of_the_objects(settings, plant, channel, 1000)
-    # 1e-6 of the largest value: the filter's gain has not quite settled, and rounding beside 300 N.
-    assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0))
+    # 1e-6 of the largest value: the filter's gain has not quite settled; and what rounding beside 300 N adds up to.
+    assert np.allclose(real, expected, rtol=0.0, atol=1e-6 * np.abs(expected).max(axis=0) + ROUNDED)
 
 
 SWING = {"inclination_swing_hz": None, "swing_hz": 0.57, "swing_damping": 0.1, "swing_walk_mm_s": 0.5}

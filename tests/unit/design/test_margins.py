@@ -85,7 +85,7 @@ FOUND = Identified(
 )  # fmt: skip
 BETWEEN = {
     "assumed": {"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3},
-    "identified": {"quiet_disturbance_walk_mm_s": 30.0, "quiet_tension_walk_n": 0.5},
+    "identified": {"quiet_disturbance_walk_mm_s": 4.0, "quiet_tension_walk_n": 0.1},
 }
 """Filters with two settings, of which the worst level is between the two with that family."""
 
@@ -183,17 +183,18 @@ def test_every_margin_is_python_controls(
     loop = _at_input(settings, gains, plant)
     gm, pm, sm, _, crossover, _ = control.stability_margins(control.frd(loop, omega), returnall=True)
     # 1e-3: both interpolate between samples, one the modulus and the phase, the other real and imaginary part.
-    # At a sharp resonance (K_m = 2) that makes up to 0.03 dB of gain.
+    # At a sharp resonance (K_m = 2) that makes up to 0.03 dB of gain and 0.3 % of a peak of 2.
+    near = 5e-3 if k_m == 2.0 else 1e-3
     assert found.gm_db == pytest.approx(np.abs(20 * np.log10(gm)).min(), abs=0.05)
     assert found.pm_deg == pytest.approx(np.abs(pm).min(), rel=1e-3)
     assert found.dm_ms == pytest.approx((1000 * np.radians(pm % 360) / crossover).min(), rel=1e-3)
-    assert found.ms == pytest.approx(1 / sm.min(), rel=1e-3)
+    assert found.ms == pytest.approx(1 / sm.min(), rel=near)
     # The disk margin of skew 1 is the distance to -1; the largest disks' gain and phase lie within the classical ones.
     distance, _, _ = control.disk_margins(loop, omega, skew=1.0)
-    assert found.ms == pytest.approx(1 / distance, rel=1e-3)
+    assert found.ms == pytest.approx(1 / distance, rel=near)
     _, disk_db, disk_deg = control.disk_margins(loop, omega, skew=0.0)
-    assert found.gm_db >= disk_db * (1 - 1e-3)
-    assert found.pm_deg >= disk_deg * (1 - 1e-3)
+    assert found.gm_db >= disk_db * (1 - near)
+    assert found.pm_deg >= disk_deg * (1 - near)
 
 
 @pytest.mark.parametrize("k_m", [None, 60.0, 6.0])

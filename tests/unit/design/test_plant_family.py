@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -18,10 +19,15 @@ from rigctl.design.plant_family import LOSS_SCALE, MECHANISM_DAMPING, Array, Fam
 Rig = Callable[..., RigSettings]
 
 
+def filtered(corner_hz: float | None) -> dict[str, Any]:
+    """Sections of a rig whose cell has this low-pass."""
+    return {"tension_cell": {"filter_hz": corner_hz}, "simulation": {"cell": {"filter_hz": corner_hz}}}
+
+
 @pytest.mark.parametrize("k_m", [None, 1000.0, 60.0, 6.0, 2.0])
 @pytest.mark.parametrize("delay_scale", [1, 2])
 def test_response_is_the_small_signal_plant(rig: Rig, k_m: float | None, delay_scale: int) -> None:
-    settings = rig(loop={"rate_hz": 4000})
+    settings = rig(loop={"rate_hz": 4000}, **filtered(None))
     dt, hz = 1.0 / 4000, np.array([0.1, 1.0, 3.0, 7.5, 20.0])
     s, k, m = 2j * np.pi * hz, settings.plant.stiffness_n_mm * 1.2, 0.030  # 30 kg is 0.03 N s^2/mm
     flexible = 1.0 if k_m is None else 0.0
@@ -38,7 +44,7 @@ def test_response_is_the_small_signal_plant(rig: Rig, k_m: float | None, delay_s
 
 
 def test_rigid_member_is_the_model_the_filter_believes_in(rig: Rig) -> None:
-    settings = rig()
+    settings = rig(**filtered(None))
     model, plant = filter_model(settings), member(settings, None)
     assert np.allclose(plant.a, model.f[:2, :2], rtol=1e-12)
     assert np.allclose(plant.b_command, model.b[:2, 0], rtol=1e-12)
@@ -96,7 +102,7 @@ def test_the_loss_that_the_assumed_family_leaves_out_lowers_ms(rig: Rig, spring_
 def test_a_loss_and_the_low_pass_of_the_cell_are_in_the_response(
     rig: Rig, k_m: float | None, cell_hz: float | None
 ) -> None:
-    settings = rig(loop={"rate_hz": 4000})
+    settings = rig(loop={"rate_hz": 4000}, **filtered(cell_hz))
     dt, hz = 1.0 / 4000, np.array([0.5, 3.0, 7.5, 20.0, 80.0])
     s, k, c, m = 2j * np.pi * hz, settings.plant.stiffness_n_mm, 0.05, 0.030
     stretch = k + c * s
@@ -105,7 +111,7 @@ def test_a_loss_and_the_low_pass_of_the_cell_are_in_the_response(
         stretch = stretch * own / (own + stretch)
     late = np.exp(-s * (0.002 + dt / 2)) / (0.02 * s + 1)
     seen = 1.0 if cell_hz is None else 1.0 / (s / (2 * np.pi * cell_hz) + 1.0)
-    tension, _, disturbance = sampled(settings, k_m, 1.0, 1.0, 1.0, 8.0, c, cell_hz).response(np.exp(s * dt))
+    tension, _, disturbance = sampled(settings, k_m, 1.0, 1.0, 1.0, 8.0, c).response(np.exp(s * dt))
     assert np.allclose(tension, stretch / s * late * seen, rtol=1e-2)
     held = np.exp(-s * dt / 2) * np.sinc(hz * dt)
     assert np.allclose(disturbance[:-1], (stretch / s * held)[:-1], rtol=2e-2)  # its own loss acts at once, not held

@@ -64,7 +64,11 @@ def test_the_gate_judges_every_setting_and_the_change_between_them(rig: Rig) -> 
 
 
 @pytest.mark.parametrize(
-    ("quieter", "within"), [(QUIETER, False), ({"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3}, True)]
+    ("quieter", "within"),
+    [
+        ({"quiet_disturbance_walk_mm_s": 8.0, "quiet_tension_walk_n": 0.2}, False),
+        ({"quiet_disturbance_walk_mm_s": 0.3, "quiet_tension_walk_n": 0.3}, True),
+    ],
 )
 def test_ms_is_that_of_the_worst_of_all_levels(rig: Rig, quieter: dict[str, float], within: bool) -> None:
     """Against every hundredth level by brute force; with the second setting the worst level is between the two."""

@@ -25,8 +25,8 @@ class Sample(NamedTuple):
 class Model:
     """The plant a rival is tuned for: tension per velocity command ``k / s * e^(-delay s) / (lag s + 1)``.
 
-    ``delay_s`` is the drive's transport delay, the tick between sample and command, and half a tick for the command
-    held over each.
+    ``delay_s`` is the drive's transport delay, what the cell's low-pass is late by, the tick between sample and
+    command, and half a tick for the command held over each.
     """
 
     stiffness_n_mm: float
@@ -43,7 +43,7 @@ class Model:
         return cls(
             plant.stiffness_n_mm,
             plant.cylinder_lag_s,
-            plant.command_delay_s + 1.5 * period_s,
+            plant.command_delay_s + settings.tension_cell.late_s + 1.5 * period_s,
             period_s,
             round(plant.command_delay_s / period_s) + 1,
         )
