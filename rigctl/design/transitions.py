@@ -119,7 +119,7 @@ def _ticks(plant: Member, before: _Parts, after: _Parts, most: int) -> int | Non
         if ticks > most:
             return None
     too_few = ticks // 2
-    while ticks - too_few > FINE * ticks:  # what holds at N holds beyond, because V falls
+    while ticks - too_few > max(1.0, FINE * ticks):  # what holds at N holds beyond, because V falls
         middle = (too_few + ticks) // 2
         ticks, too_few = (middle, too_few) if proven(middle) else (ticks, middle)
     return ticks
