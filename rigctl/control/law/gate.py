@@ -16,8 +16,10 @@ class Gate:
     """Believes an innovation y of variance S while ``y^2 <= sigma^2 (S + (burst n)^2)``.
 
     n counts ticks since a sample was believed; ``burst`` is the change of the quantity in a tick beyond the filter's
-    model, one sigma. A spike is rejected, a jolt is followed (``surprised`` makes the filter follow it faster), and a
-    jump no rig can make is rejected for so many ticks that it becomes a fault.
+    model, one sigma. An innovation beyond sigma alone is believed only where the sample before was beyond it on the
+    same side: noise is so once in half an hour, a filter that follows it is surprised by the next sample too, the
+    other way, and so on. A spike is rejected, a jolt is followed from its second sample on (``surprised`` makes the
+    filter follow it faster), and a jump no rig can make is rejected for so many ticks that it becomes a fault.
 
     Args:
         sigma: width of the gate.
@@ -63,11 +65,13 @@ class Gate:
         if innovation is None:
             self.absent()
             return False
+        confirmed = (self.surprised or self.rejects > 0) and innovation * self.innovation > 0.0
         self.innovation, self.variance = innovation, variance
         n = self.since
         square = innovation * innovation
-        self.surprised = square > self._sigma2 * variance
-        if square > self._sigma2 * (variance + self._burst2 * n * n):
+        beyond = square > self._sigma2 * variance
+        self.surprised = beyond and confirmed and square <= self._sigma2 * (variance + self._burst2 * n * n)
+        if beyond and not self.surprised:
             self.verdict = _REJECTED
             self.rejects += 1
             return False

@@ -129,6 +129,8 @@ def test_a_surprising_sample_has_the_gain_of_the_widened_covariance() -> None:
     by_n = MODEL.gate_sigma * burst[0]
     filtered.update(np.array([by_n, 0.0]))
     kalman.update(300.0 + by_n, 0.0)
+    assert not kalman.cell.surprised, "one sample alone may be noise"
+    kalman.update(300.0 + by_n, 0.0)
     assert kalman.cell.surprised
     assert np.array(kalman.state) - [300.0, 0.0, 0.0] == pytest.approx(filtered.x[:, 0], rel=1e-4, abs=1e-9)
 
@@ -168,8 +170,8 @@ def test_whatever_is_measured_the_state_stays_finite(samples: list) -> None:  # 
 
 
 @pytest.mark.parametrize("gap", [0, 4])
-def test_a_jolt_is_followed_at_once_as_the_disturbance_that_explains_it(gap: int) -> None:
-    """What a surprising sample adds to the tension is a stretch since the last one: its speed is known at once."""
+def test_a_jolt_is_followed_from_its_second_sample_as_the_disturbance_that_explains_it(gap: int) -> None:
+    """What two surprising samples add to the tension is a stretch since the last good one: its speed is known then."""
     kalman, jolt_mm_s = TensionFilter(MODEL), 80.0
     kalman.reset(300.0, 0.0)
     for _ in range(1000):
@@ -178,7 +180,11 @@ def test_a_jolt_is_followed_at_once_as_the_disturbance_that_explains_it(gap: int
     for _ in range(gap):
         kalman.update(None, 0.0)
         kalman.predict()
-    stretched = 300.0 + SETTINGS.plant.stiffness_n_mm * jolt_mm_s * MODEL.period_s * (gap + 1)
+    a_tick_n = SETTINGS.plant.stiffness_n_mm * jolt_mm_s * MODEL.period_s
+    stretched = 300.0 + a_tick_n * (gap + 2)
+    kalman.update(stretched - a_tick_n, 0.0)
+    assert kalman.state == (300.0, 0.0, 0.0)
+    kalman.predict()
     kalman.update(stretched, 0.0)
     assert kalman.cell.surprised
     tension_n, speed_mm_s, disturbance_mm_s = kalman.state
