@@ -99,16 +99,13 @@ def _compare(
     quick: Annotated[bool, typer.Option("--quick", help="6 of the 18 scenarios: 2 minutes on 2 cores, not 9")] = False,
     json: JsonFile = None,
     plots: Annotated[pathlib.Path | None, typer.Option(help="folder for the pictures")] = None,
-    equal_limits: Annotated[
-        bool, typer.Option("--equal-limits", help="every law tuned by one optimiser under the same Ms and noise")
-    ] = False,
     bound: Annotated[
         bool, typer.Option("--bound", help="our law against the least error that any linear law reaches")
     ] = False,
     shares: Annotated[
         pathlib.Path | None,
         typer.Option(
-            metavar="FILE", help="tuned laws by groups of scenarios, three seeds, and shares of the bound: JSON"
+            metavar="FILE", help="laws tuned under the same Ms and noise, by groups of scenarios over three seeds: JSON"
         ),
     ] = None,
     designs: Annotated[
@@ -137,24 +134,22 @@ def _compare(
 ) -> None:
     """Compare the tension law with its rivals: same plant, seed and limits, each tuned by its published rule.
 
-    All of it takes about 17 minutes of processor time; --quick about 3. --equal-limits takes about 120, --shares
-    about 200, --random about 2 for each rig of ours (with --designs 5), --front about 20.
+    All of it takes about 17 minutes of processor time; --quick about 3. --shares takes about
+    90, --random about 2 for each rig of ours (with --designs 5), --front about 20.
     """
     from hil.studies.cli import compare_tuned
     from hil.studies.cli.compare import run
 
     file = file or rig_file.shipped(PAPER)
-    if equal_limits or random or bound or front is not None or shares is not None:
-        asked = compare_tuned.Asked(only or [], controllers or [], json, rows, quick=quick, designs=designs)
+    if random or bound or front is not None or shares is not None:
+        asked = compare_tuned.Asked(only or [], controllers or [], json, rows, designs)
         if bound:
             raise typer.Exit(compare_tuned.run_bound(file, asked))
         if shares is not None:
             raise typer.Exit(compare_tuned.run_shares(file, shares, asked))
         if front is not None:
             raise typer.Exit(compare_tuned.run_front(file, front, asked))
-        if random:
-            raise typer.Exit(compare_tuned.run_random(file, random, seed, asked))
-        raise typer.Exit(compare_tuned.run_equal_limits(file, asked))
+        raise typer.Exit(compare_tuned.run_random(file, random, seed, asked))
     raise typer.Exit(run(file, only or [], controllers or [], json, plots, quick=quick))
 
 

@@ -24,8 +24,8 @@ class Knob(NamedTuple):
 
 KNOBS = (
     Knob("design.stretch_weight", 1.0, 1e5),
-    Knob("design.integral_weight", 0.1, 1e7),
-    Knob("estimator.disturbance_walk_mm_s", 0.3, 300.0),
+    Knob("design.integral_weight", 0.1, 1e9),
+    Knob("estimator.disturbance_walk_mm_s", 0.03, 300.0),
     Knob("estimator.tension_walk_n", 1e-4, 3.0),
     Knob("estimator.speed_walk_mm_s", 1e-3, 10.0),
 )

@@ -74,7 +74,7 @@ def test_an_identified_rig_starts_with_the_design_for_its_plant_and_holds_the_te
         records = rig.run(3.0)
         assert rig.loop.machine.mode is Mode.COMPENSATING
         # The filter believes the plant as built: its innovations are the cell's noise and no more.
-        assert 0.8 < rig.record["tension_nis"] < 1.3
+        assert 0.65 < rig.record["tension_nis"] < 1.3  # the walk of the tension is a weight, larger than what is there
         assert abs(float(np.mean(records["tension_n"])) - 300.0) < 0.05
 
 

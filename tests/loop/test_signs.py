@@ -68,7 +68,7 @@ def test_a_rig_the_right_way_round_passes_once_and_is_told(rig: Lockstep) -> Non
         (0.75, "calibration", None, True),
         (0.75, "calibration.waiver", None, False),
         (1.0, "calibration.waiver", "a simulated rig", False),
-        (1.2, "calibration.waiver", "a simulated rig", False),
+        (1.18, "calibration.waiver", "a simulated rig", False),
         (1.25, "calibration.waiver", "a simulated rig", True),
     ],
 )

@@ -28,7 +28,7 @@ _SIMULATION: dict[str, Any] = {
     "pulley": _FRICTION | {"mass_kg": 2.0, "friction_static": 0.0012, "friction_dynamic": 0.0008, "viscous_n_s_m": 5.0},
     "rope": {"damping_n_s_mm": 0.05, "slack_mm": 2.0},
     "drive": {"brake_ms": 50, "acceleration_mm_s2": 2000.0},
-    "cell": {"quantum_n": 0.001},
+    "cell": {"quantum_n": 0.001, "filter_hz": None},
     "inclinometer": {"filter_hz": 20.0, "quantum_deg": 0.01, "noise_deg": 0.003},
 }
 """Table 1 and no faults, whatever the rig file says: what is not named is at its default."""
@@ -43,6 +43,7 @@ _PLANT: dict[str, Any] = {
     "mechanism_n_mm": None,
 }
 _FILE = config.load(REPOSITORY / "config/paper_rig.yaml").model_dump()
+_FILE["tension_cell"] |= {"filter_hz": None}
 SETTINGS = RigSettings.model_validate(_FILE | {"simulation": _SIMULATION, "plant": _PLANT})
 """The paper's rig, as tests here know it."""
 K = SETTINGS.plant.stiffness_n_mm

@@ -23,13 +23,10 @@ from hil.faults.drawn.draw import block_of, pair_of
 from hil.faults.gateway_kills import Figures
 from hil.faults.judging.judge import FaultResult
 from hil.faults.kills import Kill
-from hil.studies.compare import equal_limits, front, random_rigs
-from hil.studies.compare.equal_limits import EqualLimits, RunErrors
+from hil.studies.compare import front, random_rigs
 from hil.studies.compare.front import FrontPoint
-from hil.studies.compare.measured_ms import Peak
 from hil.studies.compare.random_rigs import RigRow
 from hil.studies.compare.rivals import OURS
-from hil.studies.compare.tuned_laws import TunedLaw
 from hil.studies.moves import repeated_moves
 from hil.studies.moves.repeated_moves import MoveFigures, RepeatedResult
 from hil.studies.roll_back import study as roll_back
@@ -82,13 +79,6 @@ def fault_rows(_rig: Any, rows: Any, _advance: Any) -> list[FaultResult]:
     ]  # fmt: skip
 
 
-def equal(*_: Any) -> EqualLimits:
-    found = {(RUN.name, OURS): RunErrors(np.float64(0.01), 0.002, None, 20.0, "COMPENSATING")}
-    law = TunedLaw(OURS, (np.float64(1.0),), True, 0.0, 1.5, 0.4)
-    peak = Peak(np.float64(1.3), 0.01, np.float64(20.0), "input", 1.0)
-    return EqualLimits(RIG, (RUN,), (OURS,), found, {(RUN.name, OURS): law}, {(RUN.name, OURS): peak})
-
-
 MOVED = Moved(np.float64(0.1), 0.1, 0.2, "HOLD")
 Patches = list[tuple[Any, str, Callable[..., Any]]]
 PLAYED: dict[str, tuple[list[str], Patches]] = {
@@ -106,7 +96,6 @@ PLAYED: dict[str, tuple[list[str], Patches]] = {
         ["--draw", "1", "--seed", "2"],
         [(roll_back, "study", lambda *_: dict.fromkeys(roll_back.cases(1, 1), MOVED))],
     ),
-    "compare --equal-limits": (["--equal-limits", "--designs", "1", "--quick"], [(equal_limits, "study", equal)]),
     "compare --random": (
         ["--random", "1", "--seed", "2"],
         [(random_rigs, "study", lambda *_: [

@@ -1,5 +1,4 @@
-"""``python -m hil compare --equal-limits``, ``--shares``, ``--random``, ``--front`` and ``--bound``: laws tuned by one
-optimiser."""
+"""``python -m hil compare --shares``, ``--random``, ``--front`` and ``--bound``: laws tuned by one optimiser."""
 
 from __future__ import annotations
 
@@ -12,8 +11,8 @@ from hil.cli.files import check_names, check_outputs, json_text, publish, say, s
 from hil.runs.result_table import console
 from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.studies.compare import equal_limits, front, random_rigs, shares, tuned_laws, tuned_tables
-from hil.studies.compare.compared_runs import QUICK, compared_runs
+from hil.studies.compare import equal_limits, front, random_rigs, random_tables, shares, tuned_laws
+from hil.studies.compare.compared_runs import compared_runs
 from hil.studies.compare.groups import GROUPS
 from hil.studies.compare.rivals import OURS
 from rigctl.config.settings import RigSettings
@@ -32,7 +31,6 @@ class Asked:
     controllers: Sequence[str]
     json: pathlib.Path | None
     rows: pathlib.Path | None
-    quick: bool = False
     designs: int | None = None
 
     def say(self, line: str) -> None:
@@ -46,27 +44,12 @@ class Asked:
         return [law for law in allowed if law in (names or default)]
 
 
-def run_equal_limits(rig_file: pathlib.Path, asked: Asked) -> int:
-    """Tune and play; returns 0, or 1 when our law did not reach the end of a run.
+def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
+    """Our law against the convex bound; returns 0, or 1 when ours is below it.
 
     Raises:
         ScenarioError: bad input, or a rig that cannot be simulated.
         OutputError: a file that cannot be written.
-    """
-    rig, laws = _rig(rig_file, asked), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
-    runs = compared_runs(rig)
-    check_names("--only", asked.only, [run.name for run in runs])
-    wanted = asked.only or (QUICK if asked.quick else ())
-    chosen = [run for run in runs if not wanted or run.name in wanted]
-    found = equal_limits.study(rig, chosen, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say, asked.designs)
-    publish(asked.json, equal_limits.document(found), lambda: tuned_tables.show_equal_limits(found, console(WIDTH)))
-    return int(any(law == OURS and row.eta_rms_pct is None for (_, law), row in found.outcomes.items()))
-
-
-def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
-    """Our law against the convex bound; returns 0, or 1 when ours is below it.
-
-    Raises: as `run_equal_limits`.
     """
     from hil.studies.compare.bound import bound_tables, study  # the solver takes seconds to load
     from hil.studies.compare.bound.linear_law import NoBoundError
@@ -89,7 +72,7 @@ def run_bound(rig_file: pathlib.Path, asked: Asked) -> int:
 def run_shares(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
     """Every law by groups of runs, over three seeds, and the joint bounds; they are written to a file.
 
-    Returns 0, or 1 when our law did not reach the end of a run. Raises: as `run_equal_limits`.
+    Returns 0, or 1 when our law did not reach the end of a run. Raises: as `run_bound`.
     """
     from hil.studies.compare import shares_tables
     from hil.studies.compare.bound import group_bounds, joint_groups  # the solver takes seconds to load
@@ -121,7 +104,7 @@ def run_shares(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
 def run_random(rig_file: pathlib.Path, count: int, seed: int, asked: Asked) -> int:
     """Random rigs; returns 0, or 1 when our identified law tripped on one, or has Ms above the limit there.
 
-    Raises: as `run_equal_limits`.
+    Raises: as `run_bound`.
     """
     allowed = (*equal_limits.COMPARED, random_rigs.ASSUMED)
     rig, laws = _rig(rig_file, asked), asked.laws(allowed, random_rigs.DEFAULT_LAWS)
@@ -130,14 +113,14 @@ def run_random(rig_file: pathlib.Path, count: int, seed: int, asked: Asked) -> i
     limit = rig.design.ms_max
     said = random_rigs.summary(found, limit)
     document = {"seed": seed, "laws": said, "rigs": [row._asdict() for row in found]}
-    publish(asked.json, document, lambda: tuned_tables.show_random(found, limit, console(WIDTH)))
+    publish(asked.json, document, lambda: random_tables.show_random(found, limit, console(WIDTH)))
     return int(OURS in said and said[OURS]["ended_early"] + said[OURS]["ms_above"] > 0)
 
 
 def run_front(rig_file: pathlib.Path, file: pathlib.Path, asked: Asked) -> int:
     """Draw the front of error against Ms; returns 0.
 
-    Raises: as `run_equal_limits`.
+    Raises: as `run_bound`.
     """
     rig, laws = _rig(rig_file, asked, {"--front": file}), asked.laws(equal_limits.COMPARED, equal_limits.COMPARED)
     points = front.points(rig, laws, RowsFile(asked.rows, _of(rig, asked)), asked.say)

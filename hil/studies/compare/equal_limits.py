@@ -9,7 +9,7 @@ the limit of Ms holds on the rig as built, which no search sees, is measured the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from hil.runs.rows_file import RowsFile
@@ -17,12 +17,12 @@ from hil.scenario.errors import ScenarioError
 from hil.scenario.play import play
 from hil.studies.compare import identification
 from hil.studies.compare.compared_runs import ComparedRun
-from hil.studies.compare.comparison import WAIVER, judge
+from hil.studies.compare.comparison import judge
 from hil.studies.compare.measured_ms import Peak, measured
 from hil.studies.compare.rivals import OURS
 from hil.studies.compare.rivals.feedback import Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
-from hil.studies.compare.tuned_laws import TunedLaw, knobs_of, tuned
+from hil.studies.compare.tuned_laws import TunedLaw, from_lqi, knobs_of, tuned
 from rigctl.config.settings import RigSettings
 from rigctl.control.bus.inbox import Inbox
 from rigctl.control.law.tension import Gains, TensionLaw
@@ -71,58 +71,6 @@ class Known(NamedTuple):
         return f"{plant.stiffness_n_mm:.6g} {plant.cylinder_lag_s:.6g} {plant.command_delay_s:.6g} {k_m}"
 
 
-class EqualLimits(NamedTuple):
-    """The study: results by run and law, tunings by law and plant."""
-
-    rig: RigSettings
-    runs: tuple[ComparedRun, ...]
-    laws: tuple[str, ...]
-    outcomes: dict[tuple[str, str], RunErrors]
-    tunings: dict[tuple[str, str], TunedLaw]
-    """By run and law."""
-    true_ms: dict[tuple[str, str], Peak | None]
-    """Measured on the rig as built, by run and law; None where the rig does not stay in COMPENSATING meanwhile."""
-
-    def wins(self) -> Iterator[tuple[str, bool]]:
-        """Per run whether ours has the least rms, of the laws that reach the end."""
-        for run in self.runs:
-            ours = self.outcomes[run.name, OURS].eta_rms_pct
-            others = [self.outcomes[run.name, law].eta_rms_pct for law in self.laws if law != OURS]
-            yield run.name, ours is not None and all(other is None or ours <= other for other in others)
-
-
-def study(
-    rig: RigSettings, runs: Sequence[ComparedRun], laws: Sequence[str], rows: RowsFile, say: Say,
-    designs: int | None = None,
-) -> EqualLimits:  # fmt: skip
-    """Tune and play every law in every run; what ``rows`` has already is not done again.
-
-    ``designs``: tried for each knob and start; None: as `tuned_laws.EVALUATIONS`.
-
-    Raises:
-        ScenarioError: the rig cannot be simulated.
-    """
-    outcomes, tunings = dict[tuple[str, str], RunErrors](), dict[tuple[str, str], TunedLaw]()
-    true_ms = dict[tuple[str, str], Peak | None]()
-    for law in laws:
-        base = tuning(Known.of(rig), law, rows, designs=designs)
-        say(
-            f"{law}: tuned for the rig of the file, Ms {base.ms:.2f}, noise {base.command_noise_mm_s:.2f} mm/s, "
-            f"starts {spread_in_words(base)}"
-        )
-        for run in runs:
-            settings = run.settings(rig, WAIVER)
-            known = Known.of(settings, identified_by(settings, run.name, rows))
-            tunings[run.name, law] = mine = tuning(known, law, rows, base, designs=designs)
-            runs_by = loop_law(known, mine)
-            true_ms[run.name, law] = peak = peak_by(settings, known, law, runs_by, rows)
-            key = f"play {run.name} {law}"
-            kept = rows.get(key) or rows.put(key, played(settings, runs_by, run)._asdict())
-            outcomes[run.name, law] = found = RunErrors(**kept)
-            say(f"{law}: {run.name}: {_words(found)}, {'Ms not measured' if peak is None else peak.in_words()}")
-    return EqualLimits(rig, tuple(runs), tuple(laws), outcomes, tunings, true_ms)
-
-
 def identified_by(settings: RigSettings, name: str, rows: RowsFile) -> Identified:
     """What an identification finds of a rig; it is kept by ``name``."""
     key = f"identified {name}"
@@ -136,7 +84,8 @@ def tuning(
 ) -> TunedLaw:  # fmt: skip
     """The tuning of a law for a rig; ``base``: that for another one, from which a local search begins.
 
-    Where the local search finds nothing within the limits, the whole range is searched. ``name``: under which it is
+    Where the local search finds nothing within the limits, the whole range is searched, for ours from the optimum of
+    LQI too, which it holds. ``name``: under which it is
     kept, the law's by default. ``designs``: for each knob and start, None for the default.
     """
     key = f"tune {name or law} {known.in_key}"
@@ -144,9 +93,12 @@ def tuning(
     if kept is None:
         start = base.values if base is not None and base.within else None
         count = None if designs is None else designs * len(knobs_of(law, known.settings))
-        found = tuned(known.settings, known.family, law, start, evaluations=count)
-        if not found.within and start is not None:
-            found = tuned(known.settings, known.family, law, evaluations=count)
+        found = None if start is None else tuned(known.settings, known.family, law, start, evaluations=count)
+        if found is None or not found.within:
+            mapped = None
+            if law == OURS:
+                mapped = from_lqi(known.settings, tuning(known, "lqi", rows, designs=designs).values)
+            found = tuned(known.settings, known.family, law, evaluations=count, mapped=mapped)
         kept = rows.put(key, {name: plain(value) for name, value in found._asdict().items()})
     cost, ms, noise = (_number(kept[name]) for name in ("cost", "ms", "command_noise_mm_s"))
     return TunedLaw(law, tuple(kept["values"]), kept["within"], cost, ms, noise, tuple(map(_number, kept["costs"])))
@@ -183,7 +135,8 @@ def loop_law(known: Known, law: TunedLaw) -> LoopLaw:
     """A tuned law for the loop."""
     if law.name == OURS:
         used, designed = our_design(known, law.values)
-        return LoopLaw(used, designed.gains, levels=tuple(sorted({0.0, 1.0, designed.worst_level})))
+        levels = tuple(sorted({0.0, 1.0, designed.worst_level})) if used.estimator.adapts else (1.0,)
+        return LoopLaw(used, designed.gains, levels=levels)
     make = TUNABLE[law.name].make
 
     def rival(settings: RigSettings, gains: Gains, inbox: Inbox) -> TensionLaw:
@@ -234,34 +187,6 @@ def micro_g(settings: RigSettings, eta_pct: float | None) -> float | None:
     if eta_pct is None:
         return None
     return 1e6 * 0.01 * eta_pct * settings.tension.target_n / (settings.plant.payload_kg * GRAVITY)
-
-
-def document(found: EqualLimits) -> dict[str, Any]:
-    """Everything that is printed, for JSON."""
-    wins = dict(found.wins()) if OURS in found.laws else {}
-    return {
-        "limits": {"ms": found.rig.design.ms_max, "command_noise_mm_s": found.rig.design.command_noise_max_mm_s},
-        "scenarios": {
-            run.name: {
-                law: {
-                    **found.outcomes[run.name, law]._asdict(),
-                    **{name: plain(value) for name, value in found.tunings[run.name, law]._asdict().items()},
-                    "spread_pct": found.tunings[run.name, law].spread_pct,
-                    "ms_measured": None if (peak := found.true_ms[run.name, law]) is None else peak._asdict(),
-                    "knobs": [knob.key for knob in knobs_of(law, found.rig)],
-                }
-                for law in found.laws
-            }
-            for run in found.runs
-        },
-        "won_by_ours": wins,
-    }
-
-
-def _words(found: RunErrors) -> str:
-    if found.eta_rms_pct is None:
-        return found.ended
-    return f"max {found.eta_max_pct:.4f}, rms {found.eta_rms_pct:.4f} %, {found.micro_g:.1f} micro-g"
 
 
 def plain(value: Any) -> Any:

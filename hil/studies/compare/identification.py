@@ -105,8 +105,15 @@ def true_plant(rig: RigSettings) -> Member:
     """The linear plant as built, with the cell's filter."""
     truth, simulation = built(rig), rig.simulation
     assert simulation is not None
-    there = changed(rig, {"plant.spring_n_mm": None, "plant.rope_n_mm": truth.stiffness_n_mm,
-                          "plant.cylinder_lag_s": truth.lag_s})  # fmt: skip
+    there = changed(
+        rig,
+        {
+            "plant.spring_n_mm": None,
+            "plant.rope_n_mm": truth.stiffness_n_mm,
+            "plant.cylinder_lag_s": truth.lag_s,
+            "tension_cell.filter_hz": simulation.cell.filter_hz,
+        },
+    )
     ticks = rig.plant.command_delay_s * simulation.delay_scale * rig.loop.rate_hz
     return sampled(
         there, truth.mechanism_n_mm, 1.0, 1.0, 1.0, ticks, truth.damping_n_s_mm,

@@ -1,8 +1,8 @@
 """The study of `python -m hil compare --shares`: what each law makes of each group of runs, over three seeds.
 
 Tuning, identification and measurement of Ms are those of `equal_limits`, and so are the rows, so that a file of rows
-serves both. A law is tuned once for a run's rig, with the file's seed; run and measurement are repeated with each seed
-of the simulated rig. Groups, seeds and ties are those of `groups`.
+serves both. A law is tuned once for a run's rig, and its Ms measured, with the file's seed; the run is repeated with
+each seed of the simulated rig. Groups, seeds and ties are those of `groups`.
 """
 
 from __future__ import annotations
@@ -40,9 +40,13 @@ class PlayedLaw(NamedTuple):
 
     rms_pct: tuple[float | None, ...]
     """None where the run did not reach its end."""
+    max_pct: tuple[float | None, ...]
     ended: tuple[str, ...]
-    peaks: tuple[Peak | None, ...]
-    """Ms measured; None where the rig does not stay in COMPENSATING meanwhile."""
+    peak: Peak | None
+    """Ms measured with the first seed; its interval holds what noise makes of it.
+
+    None where the rig does not stay in COMPENSATING meanwhile.
+    """
     within: bool
     """Whether the tuning keeps the limits of Ms and noise."""
 
@@ -79,7 +83,7 @@ class Shares(NamedTuple):
 
     def peak(self, group: str, law: str) -> Peak | None:
         """The largest Ms measured in the group; None where one was not measured."""
-        found = [peak for run in self.groups[group] for peak in self.played[run, law].peaks]
+        found = [self.played[run, law].peak for run in self.groups[group]]
         known = [peak for peak in found if peak is not None]
         return max(known, key=lambda peak: peak.ms) if len(known) == len(found) else None
 
@@ -130,17 +134,17 @@ def study(
             known = Known.of(settings, identified_by(settings, name, rows))
             mine = tuning(known, law, rows, base, designs=designs)
             runs_by = loop_law(known, mine)
-            outcomes, peaks = [], []
+            peak, outcomes = peak_by(settings, known, law, runs_by, rows), []
             for number, seed in enumerate(seeds(rig)):
                 there = changed(settings, {"simulation.seed": seed})
                 again = f" seed {seed}" if number else ""  # that of the file has the keys of `equal_limits`
-                peaks.append(peak_by(there, known, law + again, runs_by, rows))
                 key = f"play {name} {law}{again}"
                 kept = rows.get(key) or rows.put(key, played(there, runs_by, by_name[name])._asdict())
                 outcomes.append(RunErrors(**kept))
             errors = tuple(outcome.eta_rms_pct for outcome in outcomes)
+            largest = tuple(outcome.eta_max_pct for outcome in outcomes)
             found[name, law] = PlayedLaw(
-                errors, tuple(outcome.ended for outcome in outcomes), tuple(peaks), mine.within
+                errors, largest, tuple(outcome.ended for outcome in outcomes), peak, mine.within
             )
             say(f"{law}: {name}: rms {', '.join('none' if e is None else f'{e:.4f}' for e in errors)} %")
     return Shares(rig, chosen, tuple(laws), found, bounds)
@@ -180,4 +184,4 @@ def _group(found: Shares, group: str) -> dict[str, Any]:
 
 
 def _run(row: PlayedLaw) -> dict[str, Any]:
-    return {"rms_pct": list(row.rms_pct), "ended": list(row.ended), "within": row.within}
+    return {"rms_pct": list(row.rms_pct), "max_pct": list(row.max_pct), "ended": list(row.ended), "within": row.within}

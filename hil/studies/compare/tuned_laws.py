@@ -28,7 +28,7 @@ from rigctl.design.optimise import Best, Limits
 from rigctl.design.plant_family import ComplexArray, Family, Member, nominal
 from rigctl.design.surrogate import TickedLaw
 
-LAW_VERSION = 3
+LAW_VERSION = 4
 """Of `rigctl.control.law` and of its search: to be raised with their arithmetic, so that rows of before are refused."""
 EVALUATIONS = {True: 60, False: 15}
 """For each knob and start: of a search over the whole range, of one that begins at the optimum for another rig."""
@@ -147,7 +147,7 @@ def judged(settings: RigSettings, make: Callable[[], Feedback], plants: FamilyRe
 
 def tuned(
     settings: RigSettings, family: Family, law: str, start: Sequence[float] | None = None, *, seed: int = optimise.SEED,
-    evaluations: int | None = None,
+    evaluations: int | None = None, mapped: Sequence[float] | None = None,
 ) -> TunedLaw:  # fmt: skip
     """The values of a law's knobs for the plant in the settings: the best of `STARTS` searches.
 
@@ -158,13 +158,16 @@ def tuned(
         start: where to begin a local search; None searches the whole range.
         seed: of the first search, and of the starts of the others.
         evaluations: candidates of each search; None as many as the number of knobs asks for.
+        mapped: another law's optimum as values of this one's knobs, where the last search over the whole range begins.
     """
     knobs = knobs_of(law, settings)
     count = evaluations or EVALUATIONS[start is None] * len(knobs)
     plants = None if law == OURS else FamilyResponses(settings, family)
+    starts = _starts(settings, law, knobs, start, seed)
+    if mapped is not None and start is None:
+        starts[-1] = tuple(mapped)
     found = [
-        _searched(settings, family, plants, law, begun, seed + number, count)
-        for number, begun in enumerate(_starts(settings, law, knobs, start, seed))
+        _searched(settings, family, plants, law, begun, seed + number, count) for number, begun in enumerate(starts)
     ]
     best = min(found, key=lambda each: (not each.within, each.cost, each.ms))
     return best._replace(costs=tuple(each.cost for each in found))
@@ -190,6 +193,23 @@ def _starts(
             drawn.append(optimise.rounded(math.exp(rng.uniform(math.log(low), math.log(high)))))
         found.append(tuple(drawn))
     return found
+
+
+def from_lqi(settings: RigSettings, values: Sequence[float]) -> tuple[float, ...]:
+    """The knobs of our law that make it LQI with these values, within their ranges.
+
+    LQI has no disturbance state: its disturbance is white, which is a walk of the tension, and ours walks least.
+    """
+    stretch_mm, held_s, disturbance_mm_s = values
+    weight = (settings.tension.speed_max_mm_s / stretch_mm) ** 2
+    wanted = {
+        "design.stretch_weight": weight,
+        "design.integral_weight": weight / held_s**2,
+        "estimator.disturbance_walk_mm_s": 0.0,
+        "estimator.tension_walk_n": settings.plant.stiffness_n_mm * disturbance_mm_s / math.sqrt(settings.loop.rate_hz),
+    }
+    found = ((knob, wanted.get(knob.key, value_of(settings, knob.key))) for knob in knobs_for(settings))
+    return tuple(min(max(float(value), knob.low), knob.high) for knob, value in found)
 
 
 def _searched(

@@ -68,7 +68,7 @@ def test_a_refused_design_is_exit_code_1_and_said_in_words(tmp_path: pathlib.Pat
     assert answer.stdout.count("UNSTABLE") > 1
     assert answer.stderr.count("\n") == 1
     assert (
-        "design refused: unstable with 6 of 30 plants, expected at most 1.6 (or a design.waiver in words)"
+        "design refused: unstable with 12 of 30 plants, expected at most 1.6 (or a design.waiver in words)"
         in answer.stderr
     )
     assert "accepted: false" in (tmp_path / "g.yaml").read_text()
@@ -108,7 +108,7 @@ def test_table_fits_80_columns_and_shows_every_plant(rig: Rig, plant: dict[str, 
 def test_a_waiver_is_shown_with_its_words_on_one_line(rig: Rig) -> None:
     settings = rig(plant=NO_SPRING, design={"waiver": WAIVER})
     *_, verdict, warning = design_text.lines(settings, design_and_check(settings))
-    assert verdict == "accepted: unstable with 6 of 30 plants (limit 1.6, waived)"
+    assert verdict == "accepted: unstable with 12 of 30 plants (limit 1.6, waived)"
     assert warning.endswith("waived: rigid mechanism, checked by hand")
 
 

@@ -236,7 +236,8 @@ def test_a_replaced_value_is_held_to_its_bound(tmp_path: pathlib.Path, in_proces
     gains = file.with_name("gains.yaml")
     data = yaml.safe_load(gains.read_text())
     data.pop("seal")
-    data["replaces"]["estimator.disturbance_walk_mm_s"] = {"file": 10.0, "used": 9e3}
+    walk = load(file).estimator.disturbance_walk_mm_s
+    data["replaces"]["estimator.disturbance_walk_mm_s"] = {"file": walk, "used": 9e3}
     data["provenance"]["inputs"]["estimator"]["disturbance_walk_mm_s"] = 9e3
     data["provenance"]["inputs_sha256"] = gain_file.sha256(data["provenance"]["inputs"])
     gains.write_text(yaml.dump(data, Dumper=gain_file._Dumper, sort_keys=False))

@@ -83,7 +83,7 @@ def test_a_proportional_law_leaves_what_theory_says_against_a_steady_disturbance
 
 
 def test_simc_pi_has_the_gains_of_the_rule() -> None:
-    law, theta = ProportionalIntegral(MODEL), 0.0035 + 0.01
+    law, theta = ProportionalIntegral(MODEL), 0.0035 + 1.0 / (2.0 * math.pi * 500.0) + 0.01  # with the cell
     assert law.gain == pytest.approx(1.0 / (K * 2.0 * theta))
     assert law.integral_time_s == pytest.approx(8.0 * theta)
 

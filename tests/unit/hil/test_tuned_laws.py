@@ -2,32 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import math
 import pathlib
 import warnings
-from dataclasses import replace
-from io import StringIO
+from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pytest
-from rich.console import Console
 
 from hil.runs.rows_file import RowsFile
 from hil.scenario.errors import ScenarioError
-from hil.studies.compare import equal_limits, front, identification, law_robustness, random_rigs
-from hil.studies.compare.equal_limits import COMPARED, EqualLimits, Known, RunErrors, tuning
+from hil.studies.compare import equal_limits, front, identification, law_robustness, tuned_laws
+from hil.studies.compare.equal_limits import COMPARED, Known, our_design, tuning
 from hil.studies.compare.law_robustness import robustness
-from hil.studies.compare.measured_ms import Peak
 from hil.studies.compare.random_rigs import RigRow, drawn, summary
 from hil.studies.compare.rivals import LAWS, OURS
 from hil.studies.compare.rivals.feedback import Model
 from hil.studies.compare.rivals.tunable import TUNABLE
-from hil.studies.compare.tuned_laws import STARTS, FamilyResponses, TunedLaw, judged, knobs_of, tuned
-from hil.studies.compare.tuned_tables import show_equal_limits
+from hil.studies.compare.tuned_laws import STARTS, FamilyResponses, TunedLaw, from_lqi, judged, knobs_of, tuned
 from rigctl.config.changed_settings import changed
 from rigctl.design import identified, plant_family
 from rigctl.design.margins import design_and_check
+from rigctl.design.optimise import OurDesign
 from rigctl.design.plant_family import Family
 from tests.builders.rig_bench import SETTINGS
 
@@ -90,41 +87,29 @@ def test_the_spread_of_starts_is_none_where_one_found_nothing() -> None:
     assert equal_limits.spread_in_words(law) == "within 5.0 %"
 
 
-def test_the_table_of_searches_has_starts_spread_and_the_measured_ms() -> None:
-    run = random_rigs.scenario()
-    one = TunedLaw(OURS, (1.0,), True, 0.0, 1.55, 0.4, (0.0, math.log(1.07), 0.0))
-    none = TunedLaw("pi", (0.1, 2.0), True, 0.0, 1.5, 0.4, (0.0, math.inf, 0.1))
-    errors = RunErrors(0.01, 0.002, None, 20.0, "COMPENSATING")
-    peaks = {"pi": Peak(1.71, 0.02, 20.0, "input", 1.0), OURS: Peak(1.61, 0.02, 20.0, "input", 0.0)}
-    found = EqualLimits(
-        RIG, (run,), ("pi", OURS), {(run.name, law): errors for law in peaks},
-        {(run.name, "pi"): none, (run.name, OURS): one}, {(run.name, law): peak for law, peak in peaks.items()},
-    )  # fmt: skip
-    said = StringIO()
-    show_equal_limits(found, Console(file=said, width=132))
-    rows = [line.split() for line in said.getvalue().splitlines()]
-    assert ["ours", "3", "3", "7.0", "7.0", "1.55", "1.61", "+-", "0.02"] in rows
-    assert ["PI", "3", "2", "-", "-", "1.50", "1.71", "+-", "0.02"] in rows
-    assert "measured Ms above 1.6: pi in random 1.71\n" in said.getvalue(), "ours is not, beyond its interval"
+@pytest.mark.parametrize("values", [(0.05, 0.1, 10.0), (0.05, 0.5, 2.0), (0.2, 0.1, 10.0)])
+def test_our_law_holds_lqi_whose_optimum_is_a_start_of_its_search(values: tuple[float, float, float]) -> None:
+    """Where the loop works: below, LQI integrates the reading and ours the estimate, and ours has a slow walk left."""
+    known = Known.of(RIG)
+    z = np.exp(2j * np.pi * np.geomspace(3.0, 100.0, 9) / RIG.loop.rate_hz)
+    theirs = law_robustness.response(TUNABLE["lqi"].make(known.settings, values), z, 6000)
+    used, made = our_design(known, from_lqi(known.settings, values))
+    ours = OurDesign(used, made).response
+    assert ours is not None
+    np.testing.assert_allclose(np.abs(ours(z) / theirs), 1.0, atol=0.03)
 
 
-def test_every_table_ends_with_the_geometric_mean_of_a_law_that_has_reached_each_end() -> None:
-    first = random_rigs.scenario()
-    runs = (first, replace(first, name="second", title="second move"))
-    errors = {
-        ("random", OURS): RunErrors(0.01, 0.002, None, 20.0, "COMPENSATING"),
-        ("second", OURS): RunErrors(0.04, 0.008, None, 80.0, "COMPENSATING"),
-        ("random", "pi"): RunErrors(0.02, 0.003, None, 30.0, "COMPENSATING"),
-        ("second", "pi"): RunErrors(None, None, None, None, "FAULT"),
-    }
-    costs = {"random": math.log(0.1), "second": math.log(0.9)}
-    tunings = {place: TunedLaw(place[1], (1.0,), True, costs[place[0]], 1.5, 0.4) for place in errors}
-    said = StringIO()
-    found = EqualLimits(RIG, runs, ("pi", OURS), errors, tunings, dict.fromkeys(errors))
-    show_equal_limits(found, Console(file=said, width=132))
-    rows = [line.split() for line in said.getvalue().splitlines()]
-    means = [row[2:] for row in rows if row[:2] == ["geometric", "mean"]]
-    assert means == [["-", "0.004*"], ["-", "0.02*"], ["-", "40*"], ["0.3*", "0.3*"]]
+def test_the_search_of_our_law_begins_at_the_optimum_of_lqi_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    known, begun = Known.of(RIG), list[Sequence[float]]()
+
+    def searched(_settings: Any, _family: Any, _plants: Any, law: str, start: Sequence[float], *_: int) -> TunedLaw:
+        begun.append(start)
+        return TunedLaw(law, (0.05, 0.5, 2.0), True, 0.0, 1.5, 0.1)
+
+    monkeypatch.setattr(tuned_laws, "_searched", searched)
+    tuning(known, OURS, RowsFile(None, {}))
+    assert len(begun) == 2 * STARTS, "LQI is tuned first, with as many starts"
+    assert begun[-1] == from_lqi(known.settings, (0.05, 0.5, 2.0))
 
 
 def test_a_law_that_is_unstable_on_its_own_plant_is_beyond_every_limit() -> None:
@@ -195,22 +180,6 @@ def test_medians_and_worst_cases_count_rigs_that_ended_early_or_are_beyond_the_l
     assert (said["rigs"], said["ended_early"]) == (3, 1)
     assert said["ms_above"] == 2, "1.61 +- 0.02 is not surely above; a rig without a figure counts"
     assert (said["eta_max_pct"]["median"], said["eta_max_pct"]["worst"]) == (0.02, 0.03)
-
-
-def test_ours_wins_a_run_only_with_the_least_rms() -> None:
-    run = random_rigs.scenario()
-    one = TunedLaw(OURS, (1.0,), True, 0.0, 1.5, 0.4, (0.0, 0.1, 0.0))
-    for other, won in ((0.003, True), (0.001, False), (None, True)):
-        outcomes = {
-            (run.name, OURS): RunErrors(0.01, 0.002, None, 20.0, "COMPENSATING"),
-            (run.name, "pi"): RunErrors(0.01, other, None, 20.0, "COMPENSATING"),
-        }
-        tunings = {(run.name, OURS): one, (run.name, "pi"): one._replace(name="pi", values=(0.1, 2.0))}
-        true_ms = {(run.name, OURS): Peak(1.5, 0.01, 20.0, "input", 1.0), (run.name, "pi"): None}
-        found = EqualLimits(RIG, (run,), ("pi", OURS), outcomes, tunings, true_ms)
-        assert dict(found.wins()) == {run.name: won}
-        said = json.loads(json.dumps(equal_limits.document(found), allow_nan=False))["scenarios"][run.name]
-        assert (said[OURS]["ms_measured"]["ms"], said["pi"]["ms_measured"]) == (1.5, None)
 
 
 def test_residual_acceleration_is_the_error_over_the_payload() -> None:
