@@ -69,7 +69,8 @@ def test_a_jolt_of_the_mechanism_is_believed(rig: Lockstep) -> None:
     rig.rig.plant.start_motion({HEIGHT: track}, rig.rig.plant.t_ns)
     records = rig.run(1.0)
     assert rig.loop.machine.mode is Mode.COMPENSATING
-    assert not np.any(records["tension_verdict"] == Verdict.REJECTED)
+    left_out = records["tension_verdict"] == Verdict.REJECTED
+    assert not np.any(left_out[1:] & left_out[:-1]), "the sample after one that may be noise is believed"
     late = records[450:]  # detected after 0.37 to 0.41 s, depending on the cell's noise
     assert np.max(np.abs(late["estimate_n"] - 300.0)) < 0.3  # back within 0.1 %
 

@@ -13,13 +13,14 @@ _ABSENT, _USED, _REJECTED, _IDLE = map(int, Verdict)
 
 
 class Gate:
-    """Believes an innovation y of variance S while ``y^2 <= sigma^2 (S + (burst n)^2)``.
+    """Believes an innovation y of variance S while ``y^2 <= sigma^2 (S + (burst (n + 1))^2)``.
 
-    n counts ticks since a sample was believed; ``burst`` is the change of the quantity in a tick beyond the filter's
-    model, one sigma. An innovation beyond sigma alone is believed only where the sample before was beyond it on the
-    same side: noise is so once in half an hour, a filter that follows it is surprised by the next sample too, the
-    other way, and so on. A spike is rejected, a jolt is followed from its second sample on (``surprised`` makes the
-    filter follow it faster), and a jump no rig can make is rejected for so many ticks that it becomes a fault.
+    n counts ticks since a sample was believed, and a jolt may have begun within the one before; ``burst`` is the change
+    of the quantity in a tick beyond the filter's model, one sigma. An innovation beyond sigma alone is believed only
+    where the one before was beyond it on the same side: noise is so once in half an hour, a filter that follows it is
+    surprised by the next sample too, the other way, and so on. A spike is rejected, a jolt is followed from its second
+    sample on (``surprised`` makes the filter follow it faster), and a jump no rig can make is rejected for so many
+    ticks that it becomes a fault.
 
     Args:
         sigma: width of the gate.
@@ -27,6 +28,7 @@ class Gate:
     """
 
     __slots__ = (
+        "_beyond",
         "_burst2",
         "_forget",
         "_sigma2",
@@ -43,6 +45,8 @@ class Gate:
         self._sigma2 = sigma * sigma
         self._burst2 = burst * burst
         self._forget = 1.0 / NIS_SAMPLES
+        self._beyond = 0.0
+        """The last innovation where it was beyond sigma alone, else 0."""
         self.innovation = 0.0
         self.variance = 0.0
         self.verdict = _ABSENT
@@ -59,18 +63,21 @@ class Gate:
         """Take over what another filter's gate has counted."""
         self.since, self.rejects, self.verdict, self.nis = other.since, other.rejects, other.verdict, other.nis
         self.innovation, self.variance, self.surprised = other.innovation, other.variance, other.surprised
+        self._beyond = other._beyond
 
     def believes(self, innovation: float | None, variance: float) -> bool:
         """Judge one sample, None is an absent one; its innovation and variance stay for the record."""
         if innovation is None:
             self.absent()
             return False
-        confirmed = (self.surprised or self.rejects > 0) and innovation * self.innovation > 0.0
         self.innovation, self.variance = innovation, variance
-        n = self.since
+        n = self.since + 1
         square = innovation * innovation
         beyond = square > self._sigma2 * variance
-        self.surprised = beyond and confirmed and square <= self._sigma2 * (variance + self._burst2 * n * n)
+        self.surprised = (
+            beyond and innovation * self._beyond > 0.0 and square <= self._sigma2 * (variance + self._burst2 * n * n)
+        )
+        self._beyond = innovation if beyond else 0.0
         if beyond and not self.surprised:
             self.verdict = _REJECTED
             self.rejects += 1
@@ -91,7 +98,7 @@ class Gate:
     def idle(self) -> None:
         """Start again, as nothing is estimated on a slack rope."""
         self.verdict = _IDLE
-        self.innovation = 0.0
+        self.innovation = self._beyond = 0.0
         self.rejects = self.since = 0
 
     def pass_ticks(self, periods: int) -> None:
