@@ -75,6 +75,12 @@ def value_of(settings: RigSettings, key: str) -> Any:
     return getattr(getattr(settings, section), name)
 
 
+def with_weights(settings: RigSettings, values: Sequence[float]) -> RigSettings:
+    """The settings with these values of the weights that act, those of a quiet setting where there are so many."""
+    acting = settings if len(values) == len(knobs_for(settings)) else searchable(settings)
+    return turned(acting, knobs_for(acting), values)
+
+
 def turned(settings: RigSettings, knobs: Sequence[Knob], values: Sequence[float]) -> RigSettings:
     """The settings with each knob at a value."""
     return changed(settings, {knob.key: value for knob, value in zip(knobs, values, strict=True)})

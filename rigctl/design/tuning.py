@@ -21,7 +21,7 @@ from rigctl.design.verdict import Design
 from rigctl.ipc.ledger import Entry
 
 ONE_SETTING = 0.7
-"""Of the designs tried: those with one setting of the filter."""
+"""Of the designs tried: those with one setting of the filter; the rest where two settings are given."""
 SHARE_AT_POINT = 12
 """Designs tried for each weight at a further operating point, where the search begins at the base's optimum."""
 
@@ -88,7 +88,7 @@ def tune(
     family = plant_family.assumed(used) if plant is None else identified.family(used, plant)
     best = None
     if search is not None:
-        used, best = _optimised(used, family, search)
+        used, best = optimised(used, family, search)
     found = Tuned(settings, used, family, design_and_check(used, family), plant, best)
     if not table:
         return found
@@ -99,19 +99,20 @@ def tune(
     return replace(found, points=points, dwell_s=dwell_s)
 
 
-def _optimised(settings: RigSettings, family: Family, search: Optimisation) -> tuple[RigSettings, Best]:
+def optimised(settings: RigSettings, family: Family, search: Optimisation) -> tuple[RigSettings, Best]:
     """The weights of least cost with one setting of the filter, or with a quiet one beside it where that costs less.
 
-    The second search begins at the optimum of the first. Two settings have no response, so that both optima, and the
-    file's weights, are compared in ticks.
+    The second search begins at the optimum of the first, or at the two settings that there are already. Two settings
+    have no response, so that both optima, and the weights given, are compared in ticks.
     """
-    count = round(ONE_SETTING * search.evaluations)
+    adapts = settings.estimator.adapts
+    count = round((1.0 - ONE_SETTING if adapts else ONE_SETTING) * search.evaluations)
     single = optimise.weights(
         one_setting(settings), family, seed=search.seed, evaluations=count, advance=search.advance
     )  # fmt: skip
     pair = optimise.weights(
-        searchable(single[0]), family, seed=search.seed, evaluations=search.evaluations - count, advance=search.advance,
-        wide=False,
+        settings if adapts else searchable(single[0]), family, seed=search.seed,
+        evaluations=search.evaluations - count, advance=search.advance, wide=False,
     )  # fmt: skip
     start, *scores = (optimise.in_ticks(each, family) for each in (settings, single[0], pair[0]))
     used, best, score = min((*single, scores[0]), (*pair, scores[1]), key=lambda found: found[2].cost)

@@ -22,14 +22,14 @@ from hil.studies.compare.measured_ms import Peak, measured
 from hil.studies.compare.rivals import OURS
 from hil.studies.compare.rivals.feedback import Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
-from hil.studies.compare.tuned_laws import TunedLaw, from_lqi, knobs_of, tuned
+from hil.studies.compare.tuned_laws import TunedLaw, from_lqi, most_knobs, tuned
 from rigctl.config.settings import RigSettings
 from rigctl.control.bus.inbox import Inbox
 from rigctl.control.law.tension import Gains, TensionLaw
 from rigctl.design import identified
 from rigctl.design.gains import design
 from rigctl.design.identified import Identified
-from rigctl.design.knobs import knobs_for, one_setting, turned
+from rigctl.design.knobs import one_setting, with_weights
 from rigctl.design.margins import design_and_check
 from rigctl.design.plant_family import Family
 from rigctl.design.verdict import Design
@@ -92,7 +92,7 @@ def tuning(
     kept = rows.get(key)
     if kept is None:
         start = base.values if base is not None and base.within else None
-        count = None if designs is None else designs * len(knobs_of(law, known.settings))
+        count = None if designs is None else designs * most_knobs(law, known.settings)
         found = None if start is None else tuned(known.settings, known.family, law, start, evaluations=count)
         if found is None or not found.within:
             mapped = None
@@ -127,7 +127,7 @@ class LoopLaw(NamedTuple):
 
 def our_design(known: Known, values: Sequence[float]) -> tuple[RigSettings, Design]:
     """Our law with the values of its knobs: the settings of the loop, and the judged design."""
-    used = turned(known.settings, knobs_for(known.settings), values)
+    used = with_weights(known.settings, values)
     return used, design_and_check(used, known.family)
 
 

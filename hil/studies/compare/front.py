@@ -21,7 +21,6 @@ from hil.studies.compare.tuned_laws import FamilyResponses, TunedLaw
 from rigctl.config.changed_settings import changed
 from rigctl.config.settings import RigSettings
 from rigctl.design import optimise
-from rigctl.design.linear_errors import LinearCases
 
 MS_LIMITS = (1.3, 1.4, 1.6, 1.8, 2.2)
 WIDEST_MS = 2.4  # drawn; what lies beyond is named at the edge
@@ -65,7 +64,7 @@ def as_it_is(known: Known, law: str) -> FrontPoint:
         make = LAWS[law].make
         assert make is not None  # rivals have one
         judged = tuned_laws.judged(settings, lambda: make(settings), FamilyResponses(settings, known.family))
-    score = optimise.score(settings, judged, wide, LinearCases(settings))
+    score = optimise.score(settings, judged, wide, None)
     error = math.exp(score.cost) if score.within else None
     return FrontPoint(law, None, score.ms, error, score.command_noise_mm_s)
 

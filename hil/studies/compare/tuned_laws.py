@@ -20,13 +20,14 @@ from hil.studies.compare.rivals.feedback import Feedback, Model, Newest, Rival
 from hil.studies.compare.rivals.tunable import TUNABLE
 from rigctl.config.settings import RigSettings
 from rigctl.control.law.tension import Estimate, Gains
-from rigctl.design import optimise
-from rigctl.design.knobs import Knob, knobs_for, turned, value_of
+from rigctl.design import optimise, tuning
+from rigctl.design.knobs import Knob, knobs_for, searchable, value_of, with_weights
 from rigctl.design.linear_errors import LinearCases, Response
 from rigctl.design.margins import frequency_grid
-from rigctl.design.optimise import Best, Limits
+from rigctl.design.optimise import Limits
 from rigctl.design.plant_family import ComplexArray, Family, Member, nominal
 from rigctl.design.surrogate import TickedLaw
+from rigctl.design.tuning import Optimisation
 
 LAW_VERSION = 4
 """Of `rigctl.control.law` and of its search: to be raised with their arithmetic, so that rows of before are refused."""
@@ -160,8 +161,10 @@ def tuned(
         evaluations: candidates of each search; None as many as the number of knobs asks for.
         mapped: another law's optimum as values of this one's knobs, where the last search over the whole range begins.
     """
+    if law == OURS and start is not None:
+        settings = with_weights(settings, start)
     knobs = knobs_of(law, settings)
-    count = evaluations or EVALUATIONS[start is None] * len(knobs)
+    count = evaluations or EVALUATIONS[start is None] * most_knobs(law, settings)
     plants = None if law == OURS else FamilyResponses(settings, family)
     starts = _starts(settings, law, knobs, start, seed)
     if mapped is not None and start is None:
@@ -222,10 +225,10 @@ def _searched(
     count: int,
 ) -> TunedLaw:
     """One search; ``plants``: the family's responses, None for our law."""
-    knobs = knobs_of(law, settings)
     if plants is None:
-        used, best = optimise.weights(turned(settings, knobs, start), family, seed=seed, evaluations=count)
-        return _found(law, tuple(float(value_of(used, knob.key)) for knob in knobs), best)
+        used, best = tuning.optimised(with_weights(settings, start), family, Optimisation(seed, count))
+        return _found(law, tuple(float(value_of(used, knob.key)) for knob in knobs_for(used)), best.score)
+    knobs = knobs_of(law, settings)
     limits, tunable = Limits.of(settings), TUNABLE[law]
     inner = replace(
         limits,
@@ -235,16 +238,16 @@ def _searched(
 
     cases = LinearCases(settings)
 
-    def scored(values: Sequence[float]) -> optimise.Score:
+    def scored(values: Sequence[float], cases: LinearCases | None = cases) -> optimise.Score:
         made = judged(settings, lambda: tunable.make(settings, values), plants)
         return optimise.score(settings, made, inner, cases)
 
-    values, called = optimise.minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=count)
-    return _found(law, values, Best(values, scored(values), None, called))
+    values, _ = optimise.minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=count)
+    return _found(law, values, scored(values, None))
 
 
-def _found(law: str, values: tuple[float, ...], best: Best) -> TunedLaw:
-    score = best.score
+def _found(law: str, values: tuple[float, ...], score: optimise.Score) -> TunedLaw:
+    """``score``: in ticks, of every law, because ours may have two settings of its filter."""
     cost = score.cost if score.within else math.inf
     return TunedLaw(law, values, score.within, cost, score.ms, score.command_noise_mm_s)
 
@@ -252,3 +255,8 @@ def _found(law: str, values: tuple[float, ...], best: Best) -> TunedLaw:
 def knobs_of(law: str, settings: RigSettings) -> tuple[Knob, ...]:
     """The parameters of a law that are searched."""
     return knobs_for(settings) if law == OURS else TUNABLE[law].knobs
+
+
+def most_knobs(law: str, settings: RigSettings) -> int:
+    """How many those are, of ours with two settings of its filter."""
+    return len(knobs_of(law, searchable(settings)))

@@ -10,7 +10,7 @@ import pytest
 from rigctl.config.settings import RigSettings
 from rigctl.design import optimise, plant_family
 from rigctl.design.gains import design
-from rigctl.design.knobs import KNOBS, Knob, turned, value_of
+from rigctl.design.knobs import KNOBS, Knob, turned, value_of, with_weights
 from rigctl.design.linear_errors import LinearCases, Response
 from rigctl.design.optimise import BROKEN, Limits, OurDesign, minimum, our_design, score
 from rigctl.design.plant_family import nominal
@@ -158,3 +158,12 @@ def test_a_jolt_takes_the_law_to_its_limits(rig: Rig) -> None:
     fast = rig(tension={"speed_max_mm_s": 60.0, "acceleration_max_mm_s2": 30000.0})
     slow_n, fast_n = (_played(s, OurLaw(s, design(s)), "jolt").rms_n for s in (settings, fast))
     assert slow_n > 1.2 * fast_n
+
+
+def test_weights_are_those_of_two_settings_where_there_are_so_many(rig: Rig) -> None:
+    settings = rig()
+    five = tuple(float(value_of(settings, knob.key)) for knob in KNOBS)
+    assert with_weights(settings, five) == settings
+    pair = with_weights(settings, (*five, 0.2, 3.0))
+    assert (pair.estimator.quiet_tension_walk_n, pair.estimator.quiet_disturbance_walk_mm_s) == (0.2, 3.0)
+    assert with_weights(pair, (*five, 0.1, 2.0)).estimator.quiet_tension_walk_n == 0.1
