@@ -22,7 +22,7 @@ from rigctl.config.settings import RigSettings
 
 STEADY_S = RAMP_S
 """Figures are taken from here on: the mechanism has reached its speed and the gantry shakes in full."""
-FADE_S = 2.0
+FADE_S = 4.0
 """Fade of the vertical motion; a shorter one would exceed the speed limit."""
 HEAVE_S = FADE_S + STEADY_S + 10.0
 EVENT_S = 1.0
