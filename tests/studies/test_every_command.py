@@ -56,6 +56,7 @@ ELSEWHERE = {
 """By the test that plays them: a command and options."""
 PAPER = "config/paper_rig.yaml"
 SMALL = (
+    f"compare {PAPER} --quick --only paper_k6 --controllers passive --json",
     "--help",
     "faults --list",
     f"inject {PAPER} --list --for-this-rig",
