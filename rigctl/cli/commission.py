@@ -177,7 +177,7 @@ def _show(rows: list[dict[str, Any]]) -> None:
     table = Table(Column(no_wrap=True), "in the file", "found", "+- (95 %)", "", "", box=None)  # a key is never cut
     for row in rows:
         before = "-" if row["before"] is None else f"{row['before']:.4g}"
-        found = ("-", "-") if row["found"] is None else rounded(row["found"], row["error"] or 0.0)
+        found = ("-", "-") if None in (row["found"], row["error"]) else rounded(row["found"], row["error"])
         table.add_row(row["key"], before, *found, row["unit"], row["why"])
     Console(highlight=False).print(table)
     say("nothing was changed: what is to be believed goes into the rig file by hand")
@@ -197,6 +197,8 @@ def _rows_of(entry: dict[str, Any]) -> list[dict[str, Any]]:
         pair = figures["plant"][name]
         above = pair.get("above")
         why = f"no resonance found: stiffer than {above:.0f} N/mm" if above is not None else ""
+        if pair["error"] is None and pair["value"] is not None:
+            why = "not separable from the delay of the cell"
         rows.append(_row(key, before.get(name), pair, unit, why))
     margins = figures["margins"]
     said = "measured" if margins["measured"] else "predicted for COMPENSATING"

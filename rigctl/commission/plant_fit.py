@@ -34,6 +34,7 @@ CLEARLY = 16.0  # least gain in the sum of squares for a resonance: 4 standard d
 BOUND = 2.706  # sum of squares at which a one-sided 95 % bound lies
 MASS_SPREAD, RATIO_SPREAD = 0.3, 1.0  # of what is assumed before, standard deviations of the logarithm
 _ROUNDS, _LOOKS = 30, 5  # of the search; to compare stiffnesses of the mechanism
+_DAMPING = 1  # position of c in a place
 _LAG_SCALES = (1.0, 0.4, 2.5)
 _LEAST_SENSOR = -0.1  # times 10 ms: with less, a damping below 0 would look like a delay
 _STEP, _SETTLED = 1e-5, 1e-4  # of a slope; gain in the sum of squares below which the search ends
@@ -93,12 +94,13 @@ class PlantFit:
 
     ``mechanism``: None where no resonance was found; then it is stiffer than ``mechanism_above``, N/mm, or nothing is
     known of it (None). The error of the stiffness includes the screw's pitch error, which is always the same.
+    ``damping_n_s_mm``: None where the response does not separate it from the delay of the cell (`found`).
     ``misfit``: rms of the residuals over their standard deviations; 1 or less where the equations hold.
     """
 
     model: PlantModel
     stiffness_n_mm: Estimated
-    damping_n_s_mm: Estimated
+    damping_n_s_mm: Estimated | None
     lag_s: Estimated
     delay_s: Estimated
     sensor_delay_s: Estimated
@@ -197,7 +199,7 @@ class _Problem:
             while pull < 1e6:
                 move = np.linalg.solve(normal + pull * np.diag(np.diag(normal) + 1e-12), downhill)
                 tried = place - np.clip(move, -1.0, 1.0)
-                tried[1], tried[4] = max(tried[1], 0.0), max(tried[4], _LEAST_SENSOR)
+                tried[_DAMPING], tried[4] = max(tried[_DAMPING], 0.0), max(tried[4], _LEAST_SENSOR)
                 left = self._residual(tried, k_m)
                 if np.isfinite(left).all() and float(left @ left) < squares:
                     break
@@ -229,13 +231,28 @@ class _Problem:
         return np.column_stack(columns)
 
     def found(self, solution: _Solution, above: float | None) -> PlantFit:
-        """The fit with its uncertainties."""
+        """The fit with its uncertainties.
+
+        A damping that is small against the stiffness advances the tension by c / k at every frequency, as a shorter
+        delay of the cell does. Where the response leaves that advance open by more than a tick, only their difference
+        is known: the damping stays as it was fitted, and the other values have the uncertainties with it.
+        """
         place, model = solution.place, self.model(solution.place, solution.k_m)
         slopes = self._slopes(place, solution.k_m, self._residual(place, solution.k_m))
         freedom = self.freedom(solution)
         misfit = math.sqrt(solution.squares / freedom)
-        covariance = np.linalg.pinv(slopes.T @ slopes) * max(1.0, misfit**2)
-        errors = (student_t(freedom) * np.sqrt(np.diag(covariance))).tolist()
+
+        def errors_of(slopes: Array) -> list[float]:
+            deviations = np.linalg.norm(np.linalg.pinv(slopes), axis=1) * max(1.0, misfit)
+            found: list[float] = (student_t(freedom) * deviations).tolist()
+            return found
+
+        errors, damping = errors_of(slopes), None
+        if errors[_DAMPING] <= model.stiffness * self._tick_s:
+            damping = Estimated(model.damping, errors[_DAMPING])
+        else:
+            slopes[:, _DAMPING] = 0.0
+            errors = errors_of(slopes)
         k_m = ratio = payload = None
         if len(place) > 6:
             values = (model.mechanism or 0.0, model.mechanism_damping, model.payload_kg)
@@ -245,7 +262,7 @@ class _Problem:
         return PlantFit(
             model,
             Estimated(model.stiffness, model.stiffness * (errors[0] + PITCH_SHARE)),  # a bound adds linearly
-            Estimated(model.damping, errors[1]),
+            damping,
             Estimated(model.lag_s, model.lag_s * errors[2]),
             Estimated(model.delay_s, 1e-2 * errors[3]),
             Estimated(model.sensor_delay_s, 1e-2 * errors[4]),

@@ -14,10 +14,10 @@ from rigctl.commission.identification import Drive, Estimated, IdentificationErr
 from rigctl.commission.motor_force import MotorForce, motor_force
 from rigctl.config.settings import RigSettings
 from rigctl.control.excitation.trials import QUIET_S
+from rigctl.design.identified import DELAY_ERROR_S
 
 LAST_QUIET_S = 0.01  # end of the rest before the first step, left out
 LAG_SHARE = STIFFNESS_SHARE = 0.1  # largest uncertainty over value of a figure that is proposed
-DELAY_ERROR_S = 2e-3
 FORCE_SHARE = 0.1  # as much as the comparison in TENSIONING allows
 
 

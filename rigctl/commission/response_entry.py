@@ -109,7 +109,7 @@ def _plant(plant: PlantFit) -> Figures:
         "lag_s": _pair(plant.lag_s),
         "delay_s": _pair(plant.delay_s),
         "sensor_delay_s": _pair(plant.sensor_delay_s),
-        "damping_n_s_mm": _pair(plant.damping_n_s_mm),
+        "damping_n_s_mm": {**_pair(plant.damping_n_s_mm), "value": _short(plant.model.damping)},  # held: no error
         "mechanism_n_mm": {**mechanism, "above": above},
         "mechanism_damping": _pair(plant.mechanism_damping),
     }

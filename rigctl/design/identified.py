@@ -41,6 +41,7 @@ command by 1 %, the age of the speed it reports by 2 ms. Backlash and noise are 
 LEAST_RATIO = 0.002
 DAMPING_HALF = 0.5  # of the mechanism's damping found: it is less on another day
 LATE_PERIODS = 0.5  # a tick wakes late by 0 to nearly a period: so much about the delay that was found
+DELAY_ERROR_S = 2e-3  # largest uncertainty of a delay that counts as identified
 FIT_MAX = 2.0  # residuals over their standard deviation; a response beyond it is not of this model
 _ROWS = {
     "stiffness": "stiffness_n_mm",
@@ -399,7 +400,10 @@ def _of_response(item: Entry, late_s: float) -> _Finding | None:
     read = {name: _pair(*_value_error(plant.get(name))) for name in names}
     delay, late = read["delay_s"], read.pop("sensor_delay_s")
     if delay is not None and late is not None:
-        read["delay_s"] = Uncertain(max(0.0, delay.value + late.value - late_s), math.hypot(delay.error, late.error))
+        both = Uncertain(max(0.0, delay.value + late.value - late_s), math.hypot(delay.error, late.error))
+        read["delay_s"] = both if both.error <= DELAY_ERROR_S else None
+        if both.error > DELAY_ERROR_S:  # an entry of before `plant_fit` held a damping it cannot separate
+            read["damping_n_s_mm"] = None
     mechanism = plant.get("mechanism_n_mm")
     above = _number(mechanism.get("above")) if isinstance(mechanism, dict) else None
     return _finding(item, _number(item.before.get("stiffness_n_mm")), read, above)

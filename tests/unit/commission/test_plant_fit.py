@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from rigctl.commission import plant_fit
+from rigctl.commission import plant_fit, response_entry
 from rigctl.commission.frequency_response import plant_response
 from rigctl.commission.identification import Estimated
 from rigctl.commission.plant_fit import PlantFit, PlantModel
@@ -59,6 +59,21 @@ def test_every_value_is_found_within_its_interval(rig: Rig, plant: TruePlant) ->
         assert holds(found.payload_kg, plant.payload_kg)
         assert found.mechanism_above is None
         assert found.model.resonances_hz[0] < found.model.resonances_hz[1]
+
+
+@pytest.mark.parametrize("plant", [replace(PLANT, stiffness=1000.0), replace(PLANT, stiffness=200.0)])
+def test_a_damping_that_is_small_against_the_stiffness_is_not_separable_from_the_cell_s_delay(
+    rig: Rig, plant: TruePlant
+) -> None:
+    """Of the rope without a spring the delay had an uncertainty of 4 s, and its family delays of 8000 ticks."""
+    found = fitted(rig, plant)
+    assert found.damping_n_s_mm is None
+    advance_s = (plant.damping - found.model.damping) / plant.stiffness
+    late_s = 1.0 / (2.0 * np.pi * 500.0) - advance_s
+    assert holds(found.sensor_delay_s, late_s), "what the tension is late by is known, not what of it"
+    assert found.sensor_delay_s.error < 0.3e-3
+    assert holds(found.stiffness_n_mm, plant.stiffness)
+    assert response_entry.values(found)["damping_n_s_mm"] == pytest.approx(found.model.damping)
 
 
 @pytest.mark.parametrize("noise_n", [0.01, 0.03, 0.1])

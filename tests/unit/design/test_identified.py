@@ -82,6 +82,21 @@ def test_the_loss_found_is_a_corner_and_the_file_s_chain_has_it(rig: Rig) -> Non
     assert losses == {0.0, round(settings.plant.damping_n_s_mm, 9), round(2.0 * settings.plant.damping_n_s_mm, 9)}
 
 
+def test_a_response_of_an_unknown_delay_leaves_that_of_the_steps(rig: Rig) -> None:
+    """A family with a delay of seconds has plants of thousands of states, and a design that does not end."""
+    settings = rig()
+    vague = {"sensor_delay_s": {"value": 3e-4, "error": 4.1}, "damping_n_s_mm": {"value": 0.0, "error": 4000.0}}
+    unknown = response(settings, plant=vague)
+    found = one([steps(settings, 5.0), unknown], settings)
+    assert found.delay_s == Uncertain(0.002, 0.0001)
+    assert found.damping_n_s_mm is None
+    assert max(plant.delay_ticks for plant in identified.family(settings, found).members) < 5
+    with pytest.raises(NotIdentifiedError, match="delay"):
+        one([unknown], settings)
+    held = response(settings, plant={"damping_n_s_mm": {"value": 0.001, "error": None}})
+    assert one([held], settings).damping_n_s_mm is None
+
+
 def test_an_identified_k_m_replaces_the_list_and_none_keeps_it(rig: Rig) -> None:
     settings = rig()
     known = response(settings, plant={"mechanism_n_mm": {"value": 60.0, "error": 1.0, "above": None}})
