@@ -10,13 +10,14 @@ import json
 import math
 import pathlib
 from collections.abc import Callable
+from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from hil.__main__ import app
-from hil.cli import files
+from hil.cli import faults_hash, faults_ways_out, files
 from hil.faults import gateway_kills, kills, lockstep_rows
 from hil.faults.drawn import draw_file
 from hil.faults.drawn.draw import block_of, pair_of
@@ -52,6 +53,7 @@ ELSEWHERE = {
     ),
     "tests/live/hil/test_serve.py": ("serve", "--truth"),
     "tests/live/hil/test_inject.py": ("inject", "--for", "--end"),
+    "tests/unit/hil/test_texts.py": ("faults", "--texts", "--against"),
 }
 """By the test that plays them: a command and options."""
 PAPER = "config/paper_rig.yaml"
@@ -98,7 +100,7 @@ PLAYED: dict[str, tuple[list[str], Patches]] = {
         [(roll_back, "study", lambda *_: dict.fromkeys(roll_back.cases(1, 1), MOVED))],
     ),
     "compare --random": (
-        ["--random", "1", "--seed", "2"],
+        ["--random", "1", "--seed", "2", "--designs", "1"],
         [(random_rigs, "study", lambda *_: [
             RigRow(0, OURS, 6.0, None, np.float64(1.5), 0.01, 30.0, 1.0, 1.5, 0.02, 0.002, 30.0, "COMPENSATING")])],
     ),
@@ -107,11 +109,29 @@ PLAYED: dict[str, tuple[list[str], Patches]] = {
 
 MOVES = ("moves", "--only", "--json", "--plots")
 FRONT = ("compare", "--front")
+WHOLE_CATALOGUE = {
+    faults_hash: f"faults {PAPER} --hash FOLDER/digests.json --all",
+    faults_ways_out: f"faults {PAPER} --ways-out FOLDER/rows.jsonl --only cell_silent --mode HOLD",
+}
+"""By the module that plays it: minutes each; `test_digests` and `test_ways_out` play their parts."""
 
 
 def test_every_command_and_option_has_a_case() -> None:
     played = [[name.split()[0], *words, "--json"] for name, (words, _) in PLAYED.items()]
-    assert untried(app, [*played, *map(str.split, SMALL), *ELSEWHERE.values(), MOVES, FRONT]) == []
+    assert (
+        untried(
+            app,
+            [
+                *played,
+                *map(str.split, SMALL),
+                *ELSEWHERE.values(),
+                MOVES,
+                FRONT,
+                *map(str.split, WHOLE_CATALOGUE.values()),
+            ],
+        )
+        == []
+    )
     for file, (_, *options) in ELSEWHERE.items():
         text = (ROOT / file).read_text()
         assert all(f'"{option}"' in text for option in options), file
@@ -162,6 +182,24 @@ def test_the_front_is_drawn(in_process: Command, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(front, "points", lambda *_: ours)
     ended_well(in_process("hil", "compare", "--front", tmp_path / "front.svg"), (0,))
     assert (tmp_path / "front.svg").exists()
+
+
+@pytest.mark.parametrize("module", WHOLE_CATALOGUE, ids=lambda module: module.__name__.rpartition(".")[2])
+def test_what_plays_the_whole_catalogue_gets_its_options(
+    in_process: Command, monkeypatch: pytest.MonkeyPatch, tmp_path: pathlib.Path, module: ModuleType
+) -> None:
+    got = list[object]()
+
+    def run(*arguments: object, **named: object) -> int:
+        got.extend((*arguments, *named.values()))
+        return 0
+
+    monkeypatch.setattr(module, "run", run)
+    words = WHOLE_CATALOGUE[module].replace("FOLDER", str(tmp_path)).split()
+    ended_well(in_process("hil", *words), (0,))
+    file = pathlib.Path(words[words.index("--hash" if "--hash" in words else "--ways-out") + 1])
+    assert got[1] == file
+    assert got[2:] == ([None, True] if "--hash" in words else [["cell_silent"], ["HOLD"]])
 
 
 def test_figures_are_plain_whatever_made_them() -> None:
