@@ -31,7 +31,7 @@ ComplexArray = npt.NDArray[np.complex128]
 
 LOWEST_HZ, HIGHEST_HZ, RATIO, POWER = 2.0, 14.0, 1.25, 0.5  # below, motion disturbs; above, a drive answers less
 PERIOD_S = 2.0  # a judgement waits for the period under way: the shorter the sooner, but fewer frequencies
-GROWTH = 0.09
+GROWTH = 0.0875
 """Of the rms error by the probe, against that by the cell's noise alone: of the whole error of a rig it is less.
 
 The rest of the error, at rest as much as a third of it, comes from resolution, ripple and dead band of the drive.
