@@ -28,11 +28,15 @@ SHARE_AT_POINT = 12
 
 @dataclass(frozen=True)
 class Optimisation:
-    """How the weights are searched for; ``advance`` is called after each evaluation."""
+    """How the weights are searched for; ``advance`` is called after each evaluation.
+
+    ``linear``: with one setting of the filter only, because a law with two is not linear.
+    """
 
     seed: int = optimise.SEED
     evaluations: int = optimise.EVALUATIONS
     advance: Callable[[], None] | None = None
+    linear: bool = False
 
 
 @dataclass(frozen=True)
@@ -107,17 +111,19 @@ def optimised(settings: RigSettings, family: Family, search: Optimisation) -> tu
     """
     adapts = settings.estimator.adapts
     count = round((1.0 - ONE_SETTING if adapts else ONE_SETTING) * search.evaluations)
-    single = optimise.weights(
-        one_setting(settings), family, seed=search.seed, evaluations=count, advance=search.advance
-    )  # fmt: skip
-    pair = optimise.weights(
-        settings if adapts else searchable(single[0]), family, seed=search.seed,
-        evaluations=search.evaluations - count, advance=search.advance, wide=False,
-    )  # fmt: skip
-    start, *scores = (optimise.in_ticks(each, family) for each in (settings, single[0], pair[0]))
-    used, best, score = min((*single, scores[0]), (*pair, scores[1]), key=lambda found: found[2].cost)
-    called = single[1].evaluations + pair[1].evaluations
-    return used, replace(best, score=score, start=start, evaluations=called)
+    tried = [optimise.weights(
+        one_setting(settings), family, seed=search.seed, evaluations=search.evaluations if search.linear else count,
+        advance=search.advance,
+    )]  # fmt: skip
+    if not search.linear:
+        tried.append(optimise.weights(
+            settings if adapts else searchable(tried[0][0]), family, seed=search.seed,
+            evaluations=search.evaluations - count, advance=search.advance, wide=False,
+        ))  # fmt: skip
+    judged = [(optimise.in_ticks(used, family), used, best) for used, best in tried]
+    score, used, best = min(judged, key=lambda found: found[0].cost)
+    called = sum(found.evaluations for _, found in tried)
+    return used, replace(best, score=score, start=optimise.in_ticks(settings, family), evaluations=called)
 
 
 def _at_point(base: Tuned, plant: Identified, search: Optimisation | None) -> Tuned:

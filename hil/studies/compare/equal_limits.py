@@ -80,25 +80,35 @@ def identified_by(settings: RigSettings, name: str, rows: RowsFile) -> Identifie
 
 def tuning(
     known: Known, law: str, rows: RowsFile, base: TunedLaw | None = None, name: str | None = None,
-    designs: int | None = None,
+    designs: int | None = None, linear: bool = False,
 ) -> TunedLaw:  # fmt: skip
-    """The tuning of a law for a rig; ``base``: that for another one, from which a local search begins.
+    """The tuning of a law for a rig.
 
-    Where the local search finds nothing within the limits, the whole range is searched, for ours from the optimum of
-    LQI too, which it holds. ``name``: under which it is
-    kept, the law's by default. ``designs``: for each knob and start, None for the default.
+    Where a local search finds nothing within the limits, the whole range is searched. Our law can be made LQI, so that
+    one of its searches begins at LQI's optimum.
+
+    Args:
+        known: the rig after its identification.
+        law: a name of `COMPARED`.
+        rows: what is kept of the study.
+        base: the tuning for another rig, at which a local search begins.
+        name: under which the tuning is kept, by default the law's.
+        designs: tried for each knob and start; None: as `tuned_laws.EVALUATIONS`.
+        linear: as in `tuned`.
     """
     key = f"tune {name or law} {known.in_key}"
     kept = rows.get(key)
     if kept is None:
         start = base.values if base is not None and base.within else None
         count = None if designs is None else designs * most_knobs(law, known.settings)
-        found = None if start is None else tuned(known.settings, known.family, law, start, evaluations=count)
+        found = None if start is None else tuned(
+            known.settings, known.family, law, start, evaluations=count, linear=linear
+        )  # fmt: skip
         if found is None or not found.within:
             mapped = None
             if law == OURS:
                 mapped = from_lqi(known.settings, tuning(known, "lqi", rows, designs=designs).values)
-            found = tuned(known.settings, known.family, law, evaluations=count, mapped=mapped)
+            found = tuned(known.settings, known.family, law, evaluations=count, mapped=mapped, linear=linear)
         kept = rows.put(key, {name: plain(value) for name, value in found._asdict().items()})
     cost, ms, noise = (_number(kept[name]) for name in ("cost", "ms", "command_noise_mm_s"))
     return TunedLaw(law, tuple(kept["values"]), kept["within"], cost, ms, noise, tuple(map(_number, kept["costs"])))

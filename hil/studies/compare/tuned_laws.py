@@ -148,7 +148,7 @@ def judged(settings: RigSettings, make: Callable[[], Feedback], plants: FamilyRe
 
 def tuned(
     settings: RigSettings, family: Family, law: str, start: Sequence[float] | None = None, *, seed: int = optimise.SEED,
-    evaluations: int | None = None, mapped: Sequence[float] | None = None,
+    evaluations: int | None = None, mapped: Sequence[float] | None = None, linear: bool = False,
 ) -> TunedLaw:  # fmt: skip
     """The values of a law's knobs for the plant in the settings: the best of `STARTS` searches.
 
@@ -160,6 +160,7 @@ def tuned(
         seed: of the first search, and of the starts of the others.
         evaluations: candidates of each search; None as many as the number of knobs asks for.
         mapped: another law's optimum as values of this one's knobs, where the last search over the whole range begins.
+        linear: of ours with one setting of its filter; every rival is linear.
     """
     if law == OURS and start is not None:
         settings = with_weights(settings, start)
@@ -169,9 +170,13 @@ def tuned(
     starts = _starts(settings, law, knobs, start, seed)
     if mapped is not None and start is None:
         starts[-1] = tuple(mapped)
-    found = [
-        _searched(settings, family, plants, law, begun, seed + number, count) for number, begun in enumerate(starts)
-    ]
+    if plants is None:
+        searches = [Optimisation(seed + number, count, linear=linear) for number in range(STARTS)]
+        found = [
+            _ours(with_weights(settings, begun), family, each) for begun, each in zip(starts, searches, strict=True)
+        ]
+    else:
+        found = [_rival(settings, plants, law, begun, seed + number, count) for number, begun in enumerate(starts)]
     best = min(found, key=lambda each: (not each.within, each.cost, each.ms))
     return best._replace(costs=tuple(each.cost for each in found))
 
@@ -215,19 +220,16 @@ def from_lqi(settings: RigSettings, values: Sequence[float]) -> tuple[float, ...
     return tuple(min(max(float(value), knob.low), knob.high) for knob, value in found)
 
 
-def _searched(
-    settings: RigSettings,
-    family: Family,
-    plants: FamilyResponses | None,
-    law: str,
-    start: Sequence[float],
-    seed: int,
-    count: int,
+def _ours(settings: RigSettings, family: Family, search: Optimisation) -> TunedLaw:
+    """One search for the weights of our law, as `rigctl tune --optimize` makes it."""
+    used, best = tuning.optimised(settings, family, search)
+    return _found(OURS, tuple(float(value_of(used, knob.key)) for knob in knobs_for(used)), best.score)
+
+
+def _rival(
+    settings: RigSettings, plants: FamilyResponses, law: str, start: Sequence[float], seed: int, count: int
 ) -> TunedLaw:
-    """One search; ``plants``: the family's responses, None for our law."""
-    if plants is None:
-        used, best = tuning.optimised(with_weights(settings, start), family, Optimisation(seed, count))
-        return _found(law, tuple(float(value_of(used, knob.key)) for knob in knobs_for(used)), best.score)
+    """One search for the parameters of a rival."""
     knobs = knobs_of(law, settings)
     limits, tunable = Limits.of(settings), TUNABLE[law]
     inner = replace(
@@ -236,13 +238,12 @@ def _searched(
         command_noise_mm_s=limits.command_noise_mm_s * (1.0 - optimise.NOISE_SPARE),
     )
 
-    cases = LinearCases(settings)
-
-    def scored(values: Sequence[float], cases: LinearCases | None = cases) -> optimise.Score:
+    def scored(values: Sequence[float], cases: LinearCases | None) -> optimise.Score:
         made = judged(settings, lambda: tunable.make(settings, values), plants)
         return optimise.score(settings, made, inner, cases)
 
-    values, _ = optimise.minimum(lambda values: scored(values).cost, knobs, start, seed=seed, evaluations=count)
+    linear = LinearCases(settings)
+    values, _ = optimise.minimum(lambda values: scored(values, linear).cost, knobs, start, seed=seed, evaluations=count)
     return _found(law, values, scored(values, None))
 
 

@@ -266,6 +266,7 @@ def test_ours_below_the_bound_shows_the_bound_to_be_wrong() -> None:
     wrong = ROW._replace(bound_rms_n=0.0061)
     assert wrong.below
     assert not ROW.below
+    assert not wrong._replace(name="vertical").below, "the bound of a sine is that of a short memory"
     assert "paper_k6: ours is below the bound" in shown(wrong)
 
 
