@@ -135,7 +135,7 @@ def _compare(
     """Compare the tension law with its rivals: same plant, seed and limits, each tuned by its published rule.
 
     All of it takes about 17 minutes of processor time; --quick about 3. --shares takes about
-    120, --random about 2 for each rig of ours (with --designs 5), --front about 20.
+    120, --random about 2 for each rig of ours (with --designs 5), --front about 10.
     """
     from hil.studies.cli import compare_tuned
     from hil.studies.cli.compare import run
