@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import pathlib
 import warnings
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,9 @@ from hil.studies.compare.rivals.feedback import Model
 from hil.studies.compare.rivals.tunable import TUNABLE
 from hil.studies.compare.tuned_laws import STARTS, FamilyResponses, TunedLaw, from_lqi, judged, knobs_of, tuned
 from rigctl.config.changed_settings import changed
+from rigctl.config.settings import RigSettings
 from rigctl.design import identified, plant_family
+from rigctl.design.knobs import knobs_for, value_of
 from rigctl.design.margins import design_and_check
 from rigctl.design.optimise import OurDesign
 from rigctl.design.plant_family import Family
@@ -100,16 +101,18 @@ def test_our_law_holds_lqi_whose_optimum_is_a_start_of_its_search(values: tuple[
 
 
 def test_the_search_of_our_law_begins_at_the_optimum_of_lqi_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    known, begun = Known.of(RIG), list[Sequence[float]]()
+    known, begun = Known.of(RIG), list[tuple[float, ...]]()
+    best = TunedLaw("lqi", (0.05, 0.5, 2.0), True, 0.0, 1.5, 0.1)
 
-    def searched(_settings: Any, _family: Any, _plants: Any, law: str, start: Sequence[float], *_: int) -> TunedLaw:
-        begun.append(start)
-        return TunedLaw(law, (0.05, 0.5, 2.0), True, 0.0, 1.5, 0.1)
+    def ours(settings: RigSettings, *_: object) -> TunedLaw:
+        begun.append(tuple(value_of(settings, knob.key) for knob in knobs_for(settings)))
+        return best
 
-    monkeypatch.setattr(tuned_laws, "_searched", searched)
+    monkeypatch.setattr(tuned_laws, "_rival", lambda *_: best)
+    monkeypatch.setattr(tuned_laws, "_ours", ours)
     tuning(known, OURS, RowsFile(None, {}))
-    assert len(begun) == 2 * STARTS, "LQI is tuned first, with as many starts"
-    assert begun[-1] == from_lqi(known.settings, (0.05, 0.5, 2.0))
+    assert len(begun) == STARTS
+    assert begun[-1] == from_lqi(known.settings, best.values)
 
 
 def test_a_law_that_is_unstable_on_its_own_plant_is_beyond_every_limit() -> None:
