@@ -31,7 +31,7 @@ AGREES = 0.03  # between the measured peak and that of the linear plant: dead ba
 
 
 @pytest.mark.parametrize(
-    ("keener", "about"), [(1.0, 1.40), pytest.param(3.0, 1.47, marks=pytest.mark.long), (12.0, 1.90)]
+    ("keener", "about"), [(1.0, 1.276), pytest.param(3.0, 1.322, marks=pytest.mark.long), (20.0, 1.882)]
 )
 def test_the_measured_peak_is_that_of_the_plant_as_built(keener: float, about: float) -> None:
     """Two ways that share nothing: a running loop with two multisines, and the linear plant with every loss."""
@@ -52,7 +52,7 @@ def test_a_peak_at_one_hertz_on_a_soft_mechanism_is_found() -> None:
     hz = np.geomspace(0.3, 400.0, 20_000)
     per_tension, per_speed = peak_hints.law_at(rig, gains, 1.0).response(np.exp(2j * np.pi * hz / rig.loop.rate_hz))
     moduli = np.abs(true_sensitivities(linear_plant.true_plant(rig), per_tension, per_speed, hz)).max(axis=0)
-    assert float(moduli.max()) == pytest.approx(1.50, abs=0.01)
+    assert float(moduli.max()) == pytest.approx(1.52, abs=0.01)
     peak = measured(rig, rig, gains)
     assert peak.hz == pytest.approx(float(hz[np.argmax(moduli)]), rel=0.02)
     assert peak.ms == pytest.approx(float(moduli.max()), abs=0.01)

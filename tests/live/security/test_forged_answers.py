@@ -132,10 +132,13 @@ def test_who_takes_the_port_while_the_gateway_is_started_anew_gets_nothing(own: 
                 anna.command("release", "anna")
             with pytest.raises(NoDaemonError):
                 Client(own.endpoint, "paper_rig")
-            for words in (("release", "--operator", "anna"), ("status",)):
-                done = own.cli(*words)
-                assert (done.returncode, done.stdout) == (1, "")
-                assert done.stderr == f"rigctl: no daemon answers at {own.endpoint} (absent, or not allowed)\n"
+            done = own.cli("release", "--operator", "anna")
+            assert (done.returncode, done.stdout) == (1, "")
+            assert done.stderr == f"rigctl: no daemon answers at {own.endpoint} (absent, or not allowed)\n"
+            done = own.cli("status")
+            assert (done.returncode, done.stderr) == (1, "")
+            assert "gateway    it has ended: nothing is published" in done.stdout
+            assert "RELEASING" not in done.stdout
             asked = [one for one in intruder.seen if bytes.fromhex(one.get("payload", "")) != b"stranger"]
             assert [one["what"] for one in asked] == ["port"]  # no query of ours
             close(stranger)

@@ -70,12 +70,13 @@ def test_a_second_operator_is_refused_by_name_and_may_hold(own: Daemon) -> None:
                 {"value": 280.0} if verb in (Verb.TARGET, Verb.CONFIRM_STROKE, Verb.MOVE, Verb.CARRY) else {}
             )
             more |= {"options": {"gain_file": "x", "name": "x"}} if verb is Verb.GAINS else {}
+            more |= {"options": {"supported": True}} if verb is Verb.BRAKE_TEST else {}
             options = more.pop("options", {})
             refused = kim.command(verb.name.lower(), "kim", **more, **options)
             assert refused["accepted"] is False
             if refused["reason"] == "not_possible":  # for every operator on this rig
                 continue
-            assert refused["reason"] == "lease_held"
+            assert refused["reason"] == "lease_held", (verb, refused["text"])
             assert refused["text"].startswith(f"{verb.name} refused: {ANNA} holds the lease, since ")
             assert refused["text"].endswith(HOW)
             assert refused["lease"]["holder"] == ANNA
