@@ -9,6 +9,7 @@ The first field is the CRC-32 of all others. A reader that meets the writer find
 
 from __future__ import annotations
 
+import contextlib
 import math
 import os
 import stat
@@ -107,8 +108,9 @@ class SlotWriter:
         os.fchmod(self._file, MODE)
 
     def write(self, content: PublicSlot) -> None:
-        """Write over the content."""
-        os.pwrite(self._file, content.packed(), 0)
+        """Write over the content; where that fails, the old one stays, whose time shows its age."""
+        with contextlib.suppress(OSError):  # the load matters more than what other users see of it
+            os.pwrite(self._file, content.packed(), 0)
 
     def close(self) -> None:
         """Close the file, which stays until the folder is deleted."""

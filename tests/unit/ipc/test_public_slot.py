@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+import resource
 import stat
 import threading
 
@@ -128,3 +129,19 @@ def test_words_that_are_too_long_are_cut() -> None:
     packed = PublicSlot(1, tension_n=0.0, waits_for="x" * 100).packed()
     assert len(packed) == SLOT_BYTES
     assert PublicSlot.unpacked(packed) == PublicSlot(1, tension_n=0.0, waits_for="x" * public_slot.WORDS_BYTES)
+
+
+def test_a_disk_without_room_leaves_the_old_slot_and_the_writer_goes_on(folder: FolderPlaces) -> None:
+    """The supervisor had ended with "File too large", and its loop with it."""
+    writer = SlotWriter(folder)
+    writer.write(FULL)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        writer.write(FULL._replace(mode=0))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert public_slot.read(folder) == FULL
+    writer.write(FULL._replace(mode=0))
+    assert public_slot.read(folder) == FULL._replace(mode=0)
+    writer.close()
