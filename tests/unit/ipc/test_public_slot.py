@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import resource
 import stat
 import threading
 
@@ -16,6 +15,7 @@ from rigctl.ipc.folder_places import FolderPlaces
 from rigctl.ipc.public_slot import MODE, PUBLIC_SLOT, SLOT_BYTES, PublicSlot, SlotWriter
 from rigctl.model.samples import Quality
 from rigctl.model.states import Flag
+from tests.builders.full_disk import files_of_at_most
 
 FULL = PublicSlot(
     (1 << 62) + 1, 1 << 62, 300.5, 1 << 63, 5, 4, 63, Quality.STALE | Quality.NEVER, Quality.INVALID, True,
@@ -135,12 +135,8 @@ def test_a_disk_without_room_leaves_the_old_slot_and_the_writer_goes_on(folder: 
     """The supervisor had ended with "File too large", and its loop with it."""
     writer = SlotWriter(folder)
     writer.write(FULL)
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
-    try:
+    with files_of_at_most(0):
         writer.write(FULL._replace(mode=0))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
     assert public_slot.read(folder) == FULL
     writer.write(FULL._replace(mode=0))
     assert public_slot.read(folder) == FULL._replace(mode=0)
