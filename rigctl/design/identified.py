@@ -401,9 +401,10 @@ def _of_response(item: Entry, late_s: float) -> _Finding | None:
     delay, late = read["delay_s"], read.pop("sensor_delay_s")
     if delay is not None and late is not None:
         both = Uncertain(max(0.0, delay.value + late.value - late_s), math.hypot(delay.error, late.error))
-        read["delay_s"] = both if both.error <= DELAY_ERROR_S else None
-        if both.error > DELAY_ERROR_S:  # an entry of before `plant_fit` held a damping it cannot separate
-            read["damping_n_s_mm"] = None
+        if both.error <= DELAY_ERROR_S:
+            read["delay_s"] = both
+        else:  # an entry of before `plant_fit` held a damping that it cannot separate
+            read["delay_s"] = read["damping_n_s_mm"] = None
     mechanism = plant.get("mechanism_n_mm")
     above = _number(mechanism.get("above")) if isinstance(mechanism, dict) else None
     return _finding(item, _number(item.before.get("stiffness_n_mm")), read, above)

@@ -193,3 +193,4 @@ def test_without_a_home_or_a_runtime_folder_of_the_user_commands_are_as_ever() -
         assert answer.returncode == code, answer.stderr
         assert answer.stderr == ""
         assert "Traceback" not in answer.stdout
+        assert ("nothing listens at tcp/127.0.0.1:1" in answer.stdout) is (code == 1)
